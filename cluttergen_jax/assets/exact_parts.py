@@ -17,10 +17,11 @@ import numpy as np
 
 from cluttergen_jax.assets.mass import mass_properties
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.parts import hull_of
+from cluttergen_jax.assets.parts import heights_over, hull_of
 from cluttergen_jax.assets.settle import upright_turn
 from cluttergen_jax.assets.solid import Solid, as_manifold, is_convex
 from cluttergen_jax.errors import AssetError
+from cluttergen_jax.geometry import cross_2d
 
 _HOLE_SHARE = 0.09
 _FACTORS = (1.0, 0.5, 0.2)
@@ -49,21 +50,14 @@ def outlines_around(
     """
     rings = [np.asarray(ring) for ring in section.to_polygons()]
     for factor in _FACTORS:
-        around = manifold3d.CrossSection(
-            [
-                _without_edges(
-                    ring, factor * (reach if signed_area(ring) > 0 else _around_hole(ring, reach))
-                )
-                for ring in rings
-            ]
-        )
+        plain = []
+        for ring in rings:
+            most = reach if signed_area(ring) > 0 else min(reach, _HOLE_SHARE * hole_radius(ring))
+            plain.append(_without_edges(ring, factor * most))
+        around = manifold3d.CrossSection(plain)
         if around.num_contour() == len(rings) and around.area() > (1 - lost) * section.area():
             return [np.asarray(ring) for ring in around.to_polygons()]
     return rings
-
-
-def _around_hole(ring: np.ndarray, reach: float) -> float:
-    return min(reach, _HOLE_SHARE * hole_radius(ring))
 
 
 def hole_radius(ring: np.ndarray) -> float:
@@ -78,7 +72,7 @@ def _without_edges(ring: np.ndarray, reach: float) -> np.ndarray:
     """
     number = len(ring)
     sides = np.roll(ring, -1, 0) - ring
-    is_concave = _cross(np.roll(sides, 1, 0), sides) < 0
+    is_concave = cross_2d(np.roll(sides, 1, 0), sides) < 0
     # Where it can, it begins with an edge that stays.
     first = int(np.argmin(is_concave))
     corners = []
@@ -103,10 +97,10 @@ def _without_edges(ring: np.ndarray, reach: float) -> np.ndarray:
 
 def _meeting(ring: np.ndarray, sides: np.ndarray, edge: int, other: int) -> np.ndarray | None:
     """Where an edge, made longer at its end, meets another, made longer at its beginning."""
-    bend = _cross(sides[edge], sides[other])
+    bend = cross_2d(sides[edge], sides[other])
     if bend >= 0:
         return None
-    share = _cross(ring[other] - ring[edge], sides[other]) / bend
+    share = cross_2d(ring[other] - ring[edge], sides[other]) / bend
     return ring[edge] + share * sides[edge] if share >= 1 else None
 
 
@@ -115,10 +109,6 @@ def _distance(point: np.ndarray, ring: np.ndarray, sides: np.ndarray) -> float:
     apart = point - ring
     share = np.clip((apart * sides).sum(1) / (sides**2).sum(1), 0, 1)
     return float(np.linalg.norm(apart - share[:, None] * sides, axis=1).min())
-
-
-def _cross(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    return one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
 
 
 def convex_pieces(rings: list[np.ndarray]) -> list[np.ndarray]:
@@ -152,7 +142,7 @@ def _concave_edge(ring: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """An edge with concave corners, from and to; the number tells which to prefer, and is 0 without such."""
     sides = np.roll(ring, -1, 0) - ring
     length = np.linalg.norm(sides, axis=1)
-    is_concave = _cross(np.roll(sides, 1, 0), sides) < -_STRAIGHT * np.roll(length, 1) * length
+    is_concave = cross_2d(np.roll(sides, 1, 0), sides) < -_STRAIGHT * np.roll(length, 1) * length
     merit = (is_concave + np.roll(is_concave, -1).astype(float)) * (1 + length / length.sum())
     best = int(merit.argmax())
     return float(merit[best]), ring[best], ring[(best + 1) % len(ring)]
@@ -184,7 +174,7 @@ def _joined_triangles(rings: list[np.ndarray]) -> list[np.ndarray]:
         one = _from(loops[left], b)
         other = _from(loops[right], a)
         corners = ((one[-2], a, other[1]), (other[-2], b, one[1]))
-        if any(_cross(points[y] - points[x], points[z] - points[y]) < 0 for x, y, z in corners):
+        if any(cross_2d(points[y] - points[x], points[z] - points[y]) < 0 for x, y, z in corners):
             continue
         loops[left] = one[:-1] + other[:-1]
         del loops[right]
@@ -272,7 +262,7 @@ def _are_near(parts: list[np.ndarray], points: np.ndarray, reach: float) -> bool
     nearest = np.full(len(points), np.inf)
     for hull in map(hull_of, parts):
         if hull is not None:
-            height = (points @ hull.equations[:, :3].T + hull.equations[:, 3]).max(1)
+            height = heights_over(points, hull).max(1)
             nearest = np.minimum(nearest, height)
     return bool((np.abs(nearest) <= reach).all())
 
@@ -286,7 +276,7 @@ def _prisms(mesh: Mesh, size: float) -> tuple[list[np.ndarray], np.ndarray] | No
 def _axes(mesh: Mesh) -> Iterator[np.ndarray]:
     """Directions along which a mesh may be layers of prisms: normals of much of its area."""
     normals = mesh.normals
-    areas = np.linalg.norm(normals, axis=1)
+    areas = mesh.areas
     units = normals / np.maximum(areas, 1e-30)[:, None]
     _, which = np.unique(np.abs(np.round(units, 3)), axis=0, return_inverse=True)
     common = np.bincount(which.ravel(), areas)
@@ -340,8 +330,7 @@ def _goes_through(ring: np.ndarray, sections: list[manifold3d.CrossSection]) -> 
 
 def _heights(mesh: Mesh, size: float) -> list[float]:
     """Where layers begin and end: the heights of horizontal faces."""
-    normals = mesh.normals
-    is_end = np.abs(normals[:, 2]) > _FLAT * np.linalg.norm(normals, axis=1)
+    is_end = np.abs(mesh.normals[:, 2]) > _FLAT * mesh.areas
     levels = np.sort(np.concatenate([mesh.corners[is_end][:, :, 2].ravel(), mesh.bounds[:, 2]]))
     starts = np.flatnonzero(np.diff(levels, prepend=-np.inf) > 10 * _SAME * size)
     return [float(np.round(group.mean() / _GRID) * _GRID) for group in np.split(levels, starts[1:])]

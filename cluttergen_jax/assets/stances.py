@@ -26,7 +26,6 @@ from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
-from scipy.ndimage import binary_dilation
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 from scipy.spatial import ConvexHull, cKDTree
@@ -36,7 +35,7 @@ from cluttergen_jax.assets.cloud import sample_faces
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.settle import upright_turn
 from cluttergen_jax.assets.solid import Solid
-from cluttergen_jax.assets.voxels import Voxels
+from cluttergen_jax.assets.voxels import Voxels, grown
 
 _MIN_TIP = np.radians(5)
 _SAME = np.cos(np.radians(12))
@@ -265,7 +264,7 @@ class _Look:
         if self._is_convex:
             return 0.0
         voxels = Voxels.of(self._mesh.transform(turn, np.zeros(3)), _CELLS)
-        thick = replace(voxels, outside=~binary_dilation(voxels.solid, np.ones((3, 3, 3), bool)))
+        thick = replace(voxels, outside=~grown(voxels.solid))
         return float(thick.water().sum() * voxels.pitch**3 / self._volume)
 
     def _symmetry(self, turn: np.ndarray) -> tuple[float, float]:

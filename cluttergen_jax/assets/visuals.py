@@ -118,8 +118,7 @@ def _num_columns(count: int) -> int:
 
 def _squares(corners: np.ndarray, side: int) -> np.ndarray:
     """u8[P, side, side, 3]: squares whose colours follow the planes through three corners' u8[P, 3, 3]."""
-    steps = np.linspace(0, 1, side) if side > 1 else np.zeros(1)
-    across, down = np.meshgrid(steps, steps)
+    across, down = np.meshgrid(*2 * [np.linspace(0, 1, side)])
     weights = np.stack([1 - across - down, across, down], -1)
     colours = np.einsum("yxk,pkc->pyxc", weights, corners.astype(float))
     return np.clip(np.rint(colours), 0, 255).astype(np.uint8)
@@ -315,13 +314,15 @@ def simplify_pieces(
     merged = [_merge(group) for group in groups.values()]
     merged = [piece for piece in merged if len(piece.mesh.faces)]
     plain = sum(len(piece.mesh.faces) for piece in merged if piece.texture is None)
-    textured = sum(len(piece.mesh.faces) for piece in merged if piece.texture is not None)
-    return tuple(
-        replace(piece, mesh=_simplify(piece.mesh, min(1.0, max_triangles / plain)))
-        if piece.texture is None
-        else _simplify_textured(piece, min(1.0, max_textured / textured))
-        for piece in merged
-    )
+    textured = sum(len(piece.mesh.faces) for piece in merged) - plain
+    out = []
+    for piece in merged:
+        if piece.texture is None:
+            small = _simplify(piece.mesh, min(1.0, max_triangles / plain))
+            out.append(replace(piece, mesh=small))
+        else:
+            out.append(_simplify_textured(piece, min(1.0, max_textured / textured)))
+    return tuple(out)
 
 
 def _merge(group: Sequence[Piece]) -> Piece:
@@ -336,8 +337,7 @@ def _weld(piece: Piece) -> Piece:
     """Vertices of equal place and equal uv become one; collapsed and doubled triangles are dropped."""
     assert piece.uv is not None
     mesh = piece.mesh
-    digits = 6 - int(np.floor(np.log10(max(float(np.ptp(mesh.vertices)), 1e-9))))
-    _, place = np.unique(np.round(mesh.vertices, digits), axis=0, return_inverse=True)
+    _, place = np.unique(np.round(mesh.vertices, mesh.decimals), axis=0, return_inverse=True)
     keys = np.column_stack([place.reshape(-1), np.round(piece.uv, UV_DIGITS)])
     _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     faces = inverse.reshape(-1)[mesh.faces]

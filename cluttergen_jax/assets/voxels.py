@@ -59,8 +59,7 @@ class Voxels:
 
     def is_exposed(self, points: np.ndarray) -> np.ndarray:
         """bool[N]: whether surface points can be seen from outside, to within a cell."""
-        near = ndimage.binary_dilation(self.outside, np.ones((3, 3, 3), bool))
-        return near[self.index(points)]
+        return grown(self.outside)[self.index(points)]
 
     def water(self) -> np.ndarray:
         """bool[X, Y, Z]: cells outside that would stay full if the object were filled with water.
@@ -78,6 +77,11 @@ class Voxels:
             below = np.isin(regions, drained[drained > 0])
             is_dry[:, :, level] = below
         return self.outside & ~is_dry
+
+
+def grown(cells: np.ndarray) -> np.ndarray:
+    """bool[X, Y, Z]: the True cells with all around them, corners included."""
+    return np.asarray(ndimage.binary_dilation(cells, np.ones((3, 3, 3), bool)))
 
 
 def scan_lines(mesh: Mesh, line_spacing: float, spacing: float) -> np.ndarray:

@@ -15,7 +15,7 @@ from typing import Any
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import read_object, write_object
-from cluttergen_jax.errors import ClutterGenError
+from cluttergen_jax.errors import ClutterGenError, first_names
 from cluttergen_jax.files import cache_home, remove, scratch_folder
 from cluttergen_jax.importing.limited import call_limited
 from cluttergen_jax.importing.readers import ObjectFile
@@ -195,8 +195,7 @@ def _blobs(folder: Path) -> tuple[Path, ...]:
 
 def outside_note(outside: tuple[str, ...]) -> tuple[str, ...]:
     """What is said of an object that takes such files: one note, or none."""
-    more = f", and {len(outside) - _MOST_NAMED} more" if len(outside) > _MOST_NAMED else ""
-    return (f"{NOTE}{', '.join(outside[:_MOST_NAMED])}{more}",) if outside else ()
+    return (NOTE + first_names(outside, _MOST_NAMED, ", and {} more"),) if outside else ()
 
 
 def _package_of(file: Path) -> Path:

@@ -28,7 +28,7 @@ from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.shape import Shape
 from cluttergen_jax.assets.support_map import largest_rectangle
 from cluttergen_jax.assets.voxels import Voxels
-from cluttergen_jax.errors import AssetError
+from cluttergen_jax.errors import AssetError, first_names
 from cluttergen_jax.importing.limited import call_limited
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, find_sources, read_shape
 from cluttergen_jax.importing.readers.read import MAX_FURNITURE, MAX_UNSTATED, MIN_FURNITURE
@@ -57,7 +57,7 @@ def find_furniture(path: str | Path) -> tuple[ObjectFile, list[str]]:
     sources = find_sources(file)
     places = list(dict.fromkeys(source.path for source in sources))
     if len(places) > 1:
-        names = ", ".join(str(each.relative_to(file)) for each in places[:_MOST_NAMED])
+        names = first_names([str(each.relative_to(file)) for each in places], _MOST_NAMED, "")
         raise AssetError(
             f"{file} holds {len(places)} pieces of furniture ({names})", "one", str(places[0])
         )
@@ -72,11 +72,12 @@ def find_furniture(path: str | Path) -> tuple[ObjectFile, list[str]]:
         return replace(make_source(first.path, first.kind, body), body=body), []
     if len(sources) == 1:
         return first, []
-    bodies = [source.body for source in sources]
-    taken, notes = _furniture_of(
-        bodies, call_limited(first.path, world_facts, first.path) if first.kind == "mjcf" else []
+    facts = call_limited(first.path, world_facts, first.path) if first.kind == "mjcf" else []
+    taken, notes = _furniture_of([source.body for source in sources], facts)
+    named = first_names(taken, _MOST_NAMED)
+    said = (
+        f"taken as one piece of furniture: {named} ({first.path.name}#{taken[0]} takes that alone)"
     )
-    said = f"taken as one piece of furniture: {_names(taken)} ({first.path.name}#{taken[0]} takes that alone)"
     return replace(make_source(first.path, first.kind), bodies=tuple(taken)), [said, *notes]
 
 
@@ -93,18 +94,16 @@ def _furniture_of(bodies: Sequence[str], facts: Sequence[BodyFacts]) -> tuple[li
     """Those that stand fixed in a world, all if none does; and in words what is left out."""
     if len(facts) != len(bodies):
         return list(bodies), []
-    why = {
-        body: reason
-        for body, each in zip(bodies, facts, strict=True)
-        if (reason := _why_no_furniture(each))
-    }
-    taken = [body for body in bodies if body not in why]
+    taken = []
+    left_out: dict[str, list[str]] = {}
+    for body, each in zip(bodies, facts, strict=True):
+        reason = _why_no_furniture(each)
+        (left_out.setdefault(reason, []) if reason else taken).append(body)
     if not taken:
         return list(bodies), []
-    reasons = dict.fromkeys(why.values())
     return taken, [
-        f"left out, {reason}: {_names([body for body, own in why.items() if own == reason])}"
-        for reason in reasons
+        f"left out, {reason}: {first_names(names, _MOST_NAMED)}"
+        for reason, names in left_out.items()
     ]
 
 
@@ -114,11 +113,6 @@ def _why_no_furniture(facts: BodyFacts) -> str:
     if facts.chain >= MIN_CHAIN:
         return "as they have chains of joints, as robots have"
     return "as they move freely" if facts.is_free else ""
-
-
-def _names(bodies: Sequence[str]) -> str:
-    more = f" and {len(bodies) - _MOST_NAMED} more" if len(bodies) > _MOST_NAMED else ""
-    return ", ".join(bodies[:_MOST_NAMED]) + more
 
 
 _CELLS = 96
@@ -185,7 +179,8 @@ def read_upright(
     axis, notes = choose_up(looks, stated.axis, "default" not in stated.reason)
     if axis != stated.axis:
         shape = read_shape(source, replace(options, up=axis), joints, largest, MIN_FURNITURE)
-    return shape, [f"{note} ({stated.axis} is up by {_who(stated.reason)})" for note in notes]
+    reason = stated.reason.removeprefix("by ")
+    return shape, [f"{note} ({stated.axis} is up by {reason})" for note in notes]
 
 
 def _look_closer(mesh: Mesh, look: UprightLook) -> UprightLook:
@@ -198,10 +193,6 @@ def _look_closer(mesh: Mesh, look: UprightLook) -> UprightLook:
     return replace(
         look, sides=(low, high), score=float(sum(map(np.prod, wide))), num_levels=len(wide)
     )
-
-
-def _who(reason: str) -> str:
-    return reason.removeprefix("by ")
 
 
 def choose_up(
@@ -218,7 +209,9 @@ def choose_up(
     if not is_stated and max(looks[axis].num_levels for axis in _USUAL):
         others = [axis for axis in _USUAL if axis != stated]
     ranked = sorted(others, key=lambda axis: -_rank(looks[axis], axis))
-    best = _opposite(stated) if own.is_on_its_top else ranked[0]
+    best = ranked[0]
+    if own.is_on_its_top:
+        best = stated[1:] if stated.startswith("-") else f"-{stated}"
     other = looks[best]
     gain = math.inf if own.score == 0 else other.score / own.score
     is_opposite = best.strip("-") == stated.strip("-")
@@ -254,10 +247,6 @@ def _largest(look: UprightLook) -> str:
     if look.num_levels == 0:
         return "no surface of 15 cm by 15 cm"
     return f"its largest surface is about {look.sides[0]:.2f} x {look.sides[1]:.2f} m"
-
-
-def _opposite(axis: str) -> str:
-    return axis[1:] if axis.startswith("-") else f"-{axis}"
 
 
 def _rank(look: UprightLook, axis: str) -> float:

@@ -291,16 +291,12 @@ def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Pla
         own = replace(own, up=FILE)
     is_gltf = source.path.suffix.lower() in (".glb", ".gltf")
     words = call_limited(source.path, words_of, source.path) if is_gltf else {}
-    label = {key: value for key, value in from_set.items() if key == "label"}
-    said = {key: value for key, value in words.items() if key == "synset"}
-    said |= {"label": words["label"]} if says_something(words.get("label", "")) else {}
-    label |= {key: stated.values[key] for key in ("label", "synset") if key in stated.values}
-    naming = {
-        key: value for key, value in {**said, **label, **values}.items() if key not in OF_READING
-    }
-    parts = (
-        collision_files(source.path) if own.collision == "keep" and source.kind == "mesh" else ()
-    )
+    is_labelled = says_something(words.get("label", ""))
+    naming = _those(words, "synset", "label") if is_labelled else _those(words, "synset")
+    naming |= _those(from_set, "label") | _those(stated.values, "label", "synset")
+    naming |= {key: value for key, value in values.items() if key not in OF_READING}
+    keeps_parts = own.collision == "keep" and source.kind == "mesh"
+    parts = collision_files(source.path) if keeps_parts else ()
     if stated.title:
         plain = plain_name(stated.title)
         source = replace(source, name=plain, plain=plain, label=label_of(stated.title))
@@ -329,6 +325,11 @@ def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Pla
     if stated.file is not None and decision and "up" not in reading and own.up != base.up:
         up = UpAxis(own.up, f"as {stated.file.name} says")
     return Planned(own_source, own, up, "name" in naming, out, place, take, no_model_of, alarms)
+
+
+def _those(values: Mapping[str, Any], *keys: str) -> dict[str, Any]:
+    """The values of some keys, as far as there are any."""
+    return {key: values[key] for key in keys if key in values}
 
 
 def _with_stated(

@@ -26,7 +26,7 @@ from cluttergen_jax.assets.pool import (
 )
 from cluttergen_jax.cluster import MOST_DEATHS, Cluster, each_on
 from cluttergen_jax.config import check_positive, check_workers
-from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
+from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError, first_names
 from cluttergen_jax.files import writing
 from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.cache import NOTE, outside_note
@@ -390,8 +390,7 @@ def _make(
 
 def _show_at_work(progress: Progress, jobs: Sequence[Job], indices: list[int]) -> None:
     names = [jobs[index].source.name for index in indices]
-    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-    progress.note(f"at work: {', '.join(names[:_MOST_NAMED])}{more}")
+    progress.note(f"at work: {first_names(names, _MOST_NAMED)}")
 
 
 def _store_result(job: Job, outcome: Outcome) -> str:

@@ -16,15 +16,13 @@ from itertools import chain
 
 import numpy as np
 from manifold3d import Manifold
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.cloud import sample_surface
 from cluttergen_jax.assets.config import SURFACE_AIR, DecompositionConfig
 from cluttergen_jax.assets.decompose import decompose
-from cluttergen_jax.assets.mesh import Mesh, clean_mesh, join_meshes
-from cluttergen_jax.assets.parts import hull_of, reduce_vertices, sound_points
+from cluttergen_jax.assets.mesh import Mesh, clean_mesh, connected, join_meshes
+from cluttergen_jax.assets.parts import heights_over, hull_of, reduce_vertices, sound_points
 from cluttergen_jax.assets.shading import box_mesh
 from cluttergen_jax.assets.shape import Joint
 from cluttergen_jax.assets.solid import Solid, solid_of
@@ -32,7 +30,7 @@ from cluttergen_jax.assets.support import Box, SupportAsset, Surface
 from cluttergen_jax.assets.support_map import cells_below, cover, surface_heights
 from cluttergen_jax.assets.voxels import Voxels
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.geometry import rotate_in_plane, yaw_matrix
+from cluttergen_jax.geometry import box_corners, rotate_in_plane, yaw_matrix
 from cluttergen_jax.importing.surfaces import FoundSurface
 from cluttergen_jax.progress import Progress
 
@@ -116,11 +114,7 @@ def _components(mesh: Mesh) -> list[Mesh]:
     if not len(mesh.faces):
         return []
     edges = np.concatenate([mesh.faces[:, :2], mesh.faces[:, 1:]])
-    shape = (len(mesh.vertices),) * 2
-    _, label = connected_components(
-        coo_array((np.ones(len(edges)), edges.T), shape=shape), directed=False
-    )
-    own = label[mesh.faces[:, 0]]
+    own = connected(edges, len(mesh.vertices))[mesh.faces[:, 0]]
     found = []
     for each in np.unique(own):
         used, faces = np.unique(mesh.faces[own == each], return_inverse=True)
@@ -130,7 +124,7 @@ def _components(mesh: Mesh) -> list[Mesh]:
 
 def _hull_if_convex(mesh: Mesh) -> np.ndarray | None:
     """f64[V, 3]: the corners of a surface that is its own convex hull, or a flat sheet that is convex."""
-    area = np.linalg.norm(mesh.normals, axis=1) / 2
+    area = mesh.areas / 2
     points = sound_points(mesh.vertices)
     hull = hull_of(points)
     if hull is None:
@@ -139,7 +133,7 @@ def _hull_if_convex(mesh: Mesh) -> np.ndarray | None:
     if hull.area > (2.0 if is_sheet else 1.0) * area.sum() / _FILLS:
         return None
     centers = mesh.corners.mean(1)
-    away = -(centers @ hull.equations[:, :3].T + hull.equations[:, 3]).max(1)
+    away = -heights_over(centers, hull).max(1)
     return points if (area * (away < _HAIR)).sum() > _FILLS * area.sum() else None
 
 
@@ -154,7 +148,7 @@ def _cut(solid: Solid, yaw: float) -> list[np.ndarray]:
 def _rectangular(mesh: Mesh) -> list[np.ndarray] | None:
     """A closed mesh whose faces are all at right angles as boxes, f64[8, 3] each; None if it is none such."""
     normals = mesh.normals
-    straight = np.abs(normals).max(1) > 0.9999 * np.linalg.norm(normals, axis=1)
+    straight = np.abs(normals).max(1) > 0.9999 * mesh.areas
     planes = [np.unique(np.round(mesh.vertices[:, axis], 4)) for axis in range(3)]
     if not straight.all() or max(map(len, planes)) > _MOST_PLANES:
         return None
@@ -222,7 +216,7 @@ def as_box(points: np.ndarray, yaw: float) -> Box | None:
 
 def _is_above(points: np.ndarray, surface: Surface) -> bool:
     """Whether the box around points reaches into the space above a surface."""
-    local = (points - surface.position) @ surface.T_world_surface[:3, :3]
+    local = surface.local(points)
     low = np.append(surface.polygon.min(0), _HAIR)
     high = np.append(surface.polygon.max(0), _SPACE)
     return bool((local.max(0) > low).all() and (local.min(0) < high).all())
@@ -238,9 +232,7 @@ def is_inside(points: np.ndarray, other: np.ndarray) -> bool:
     if (points.min(0) < other.min(0) - _HAIR).any() or (points.max(0) > other.max(0) + _HAIR).any():
         return False
     hull = hull_of(other)
-    return hull is not None and bool(
-        (points @ hull.equations[:, :3].T + hull.equations[:, 3]).max() < _HAIR
-    )
+    return hull is not None and bool(heights_over(points, hull).max() < _HAIR)
 
 
 def _without_inner(hulls: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -377,13 +369,7 @@ def air_over(mesh: Mesh, support: SupportAsset, surface: Surface) -> Air:
         hangs = is_hit & (height > _START)
         over[window] = np.where(hangs, np.minimum(over[window], height), over[window])
     heights = surface_heights(support, surface, _CELL)
-    x, y = (
-        heights.origin[k] + heights.cell * (np.arange(heights.ground.shape[k]) + 0.5)
-        for k in (0, 1)
-    )
-    xy = rotate_in_plane(
-        np.stack(np.meshgrid(x, y, indexing="ij"), -1) - surface.region.center, -surface.region.yaw
-    )
+    xy = rotate_in_plane(heights.centers - surface.region.center, -surface.region.yaw)
     is_in = (np.abs(xy) <= half).all(-1)
     left = np.where(heights.ground > _START, 0.0, heights.ceiling)[is_in]
     return Air(_low(over.ravel()), _low(left))
@@ -456,8 +442,7 @@ def columns_over(samples: np.ndarray, found: FoundSurface, surface: Surface) -> 
     Args:
       samples: f64[N, 3], points of the mesh, at most half a centimetre or so apart (`surface_samples`).
     """
-    T = surface.T_world_surface
-    local = (samples - T[:3, 3]) @ T[:3, :3]
+    local = surface.local(samples)
     local = local[local[:, 2] > 2 * _START]
     top = float(local[:, 2].max(initial=0.0)) + 2 * _START
     low = surface.polygon.min(0)
@@ -477,8 +462,10 @@ def columns_over(samples: np.ndarray, found: FoundSurface, surface: Surface) -> 
             is_over = ((flat > low + _START / 2) & (flat < high - _START / 2)).all(1)
             height = float(local[is_over, 2].min(initial=top)) - _START
             if height > highest:
-                corners = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
-                columns.append(AirBox(T, rotate_in_plane(corners, yaw), height))
+                corners = box_corners(low, high)
+                columns.append(
+                    AirBox(surface.T_world_surface, rotate_in_plane(corners, yaw), height)
+                )
                 highest = height + _START
     return columns
 

@@ -8,12 +8,11 @@ import re
 import struct
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
 
 import numpy as np
 
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.gltf import DTYPES, WIDTHS, Json
+from cluttergen_jax.importing.readers.gltf import DTYPES, WIDTHS, Json, buffer_file
 from cluttergen_jax.importing.readers.xml_tree import parse_numbers, parse_xml, plain_tag
 
 _HEAD = 84
@@ -323,10 +322,7 @@ def _buffer_size(path: Path, uri: str | None, binary: int) -> int:
         return binary
     if uri.startswith("data:"):
         return len(uri.partition(",")[2]) * 3 // 4
-    for name in (uri, unquote(uri)):
-        if (file := path.parent / name).is_file():
-            return file.stat().st_size
-    raise AssetError(f"{path} names buffer {uri!r}, which is not there", hint="restoring the file")
+    return buffer_file(path, uri).stat().st_size
 
 
 def _check_stl(path: Path) -> None:

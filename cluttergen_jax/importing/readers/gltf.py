@@ -13,13 +13,12 @@ from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote_to_bytes
+from urllib.parse import unquote, unquote_to_bytes
 
 import numpy as np
 import trimesh
 
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.opening import find_named
 
 Json = dict[str, Any]
 """An object of glTF's own JSON, such as the document: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html"""
@@ -142,12 +141,15 @@ class Buffers:
         if uri.startswith("data:"):
             head, _, body = uri.partition(",")
             return base64.b64decode(body) if head.endswith(";base64") else unquote_to_bytes(body)
-        found = find_named(self.path.parent, uri)
-        if found is None:
-            raise AssetError(
-                f"{self.path} names buffer {uri!r}, which is not there", hint="restoring the file"
-            )
-        return found.read_bytes()
+        return buffer_file(self.path, uri).read_bytes()
+
+
+def buffer_file(path: Path, uri: str) -> Path:
+    """The file that a buffer of a glTF file names (AssetError: it is not there)."""
+    for name in (uri, unquote(uri)):
+        if (file := path.parent / name).is_file():
+            return file
+    raise AssetError(f"{path} names buffer {uri!r}, which is not there", hint="restoring the file")
 
 
 def _binary_chunk(path: Path) -> bytes:
@@ -185,15 +187,8 @@ _UNDERSTOOD = (
 )
 # They say how a surface looks, or nothing about it: the shape is the same without them.
 _OF_LOOKS = (
-    *(
-        "KHR_materials_",
-        "KHR_texture_",
-        "EXT_texture_",
-        "MSFT_texture_",
-        "KHR_lights_",
-        "EXT_lights_",
-    ),
-    *("KHR_xmp", "KHR_animation_pointer"),
+    *("KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "KHR_lights_"),
+    *("EXT_lights_", "KHR_xmp", "KHR_animation_pointer"),
 )
 _DRAWN_ALIKE = ("KHR_materials_unlit", "KHR_materials_pbrSpecularGlossiness")
 _NO_SURFACE = (0, 1, 2, 3)

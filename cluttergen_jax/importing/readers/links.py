@@ -172,8 +172,9 @@ class Surfaces:
                 f"for {name!r}, which is not there, {file.name} is taken from {file.parent.name}/"
             )
         if (file, texture) not in self._files:
-            self._files[file, texture], notes = read_mesh_file(file, self.max_side, texture)
-            self.notes.extend(notes)
+            found = read_mesh_file(file, self.max_side, texture)
+            self._files[file, texture] = found.pieces
+            self.notes.extend(found.notes)
         factors = np.diag(self._scale(form))
         is_mirrored = np.linalg.det(factors) < 0
         out = []

@@ -212,33 +212,22 @@ _MENDS: dict[str, Callable[[bytes], tuple[bytes, tuple[str, ...]]]] = {
 
 
 class MeshFile(NamedTuple):
-    """What a mesh file holds."""
+    """What a mesh file holds.
 
-    pieces: list[
-        Piece
-    ]  # Its surfaces, in the file's own frame, and unless it declares a unit in its own.
-    notes: tuple[str, ...]  # What could not be kept of its materials, in words.
-
-
-class NamedMeshFile(NamedTuple):
-    """What a mesh file holds, and what its surfaces are called."""
+    Attributes:
+      pieces: its surfaces, in the file's own frame, and unless it declares a unit in its own.
+      notes: what could not be kept of its materials, in words.
+      names: of each surface, what it hangs on, the innermost first.
+    """
 
     pieces: list[Piece]
     notes: tuple[str, ...]
-    names: tuple[tuple[str, ...], ...]  # Of each surface, what it hangs on, the innermost first.
+    names: tuple[tuple[str, ...], ...] = ()
 
 
 def read_mesh_file(
     path: Path, max_side: int = MAX_TEXTURE, image: Texture | None = None
 ) -> MeshFile:
-    """`read_named_file` without the names."""
-    pieces, notes, _ = read_named_file(path, max_side, image)
-    return MeshFile(pieces, notes)
-
-
-def read_named_file(
-    path: Path, max_side: int = MAX_TEXTURE, image: Texture | None = None
-) -> NamedMeshFile:
     """The file's surfaces in its own frame, each with one colour, with its vertices' or with its image.
 
     Every geometry of a scene graph is placed where its nodes put it. The colour is the material's; colours
@@ -291,7 +280,7 @@ def read_named_file(
         raise AssetError(
             f"{path} holds no triangles", "a surface mesh, not points or curves", "; ".join(notes)
         )
-    return NamedMeshFile(pieces, notes, tuple(names))
+    return MeshFile(pieces, notes, tuple(names))
 
 
 def _names_of(scene: trimesh.Scene, node: str) -> tuple[str, ...]:

@@ -121,15 +121,13 @@ class _Model:
                 ) from error
             # MuJoCo says why.
             return 0.0
-        folders = [main, file.parent]
-        for compiler in root.iter("compiler"):
-            folders += [main / compiler.get(name, "").replace("\\", "/") for name in _FOLDERS]
+        folders = [main, file.parent, *asset_folders(root, main)]
         parts: dict[str, float] = {}
         included = 0.0
         for element in root.iter():
             self._check_element(element)
-            for name in _files_of(element):
-                for there in _places(name, folders):
+            for name in named_files(element):
+                for there in places_of(name, folders):
                     self._check_file(there, element.tag)
                     if element.tag == "model":
                         parts[element.get("name", "")] = self._size(
@@ -221,13 +219,21 @@ def _copies(root: Element, parts: dict[str, float]) -> tuple[float, float]:
     return total, copies
 
 
-def _files_of(element: Element) -> Iterator[str]:
+def asset_folders(root: Element, main: Path) -> list[Path]:
+    """The folders that an MJCF tree's <compiler> names, from that of the main file on."""
+    compilers = list(root.iter("compiler"))
+    return [main / each.get(name, "").replace("\\", "/") for each in compilers for name in _FOLDERS]
+
+
+def named_files(element: Element) -> Iterator[str]:
+    """What the attributes of an MJCF element call files."""
     for name, value in element.items():
         if name.startswith("file") and value:
             yield value.replace("\\", "/")
 
 
-def _places(name: str, folders: list[Path]) -> Iterator[Path]:
+def places_of(name: str, folders: Iterable[Path]) -> Iterator[Path]:
+    """Where MuJoCo may look for a file and something is, with its path stripped or not."""
     for folder in dict.fromkeys(folders):
         for place in (folder / name, folder / Path(name).name):
             try:
@@ -308,7 +314,7 @@ def compile_with_notes(
 ) -> tuple[mujoco.MjModel, tuple[str, ...]]:
     """The model of an MJCF file, whose names are text, and what had to be changed in it (see the module).
 
-    MuJoCo compiles in the process that calls it, where a crash, or all memory, would end the whole program: the
+    MuJoCo compiles in the process that calls it, where a crash, or all memory, would end all: the
     file is tried in a process with limits first.
 
     Raises:
@@ -410,6 +416,12 @@ def _read_old_spellings(path: Path) -> tuple[dict[str, bytes], tuple[str, ...]]:
     return files, tuple(notes)
 
 
+def collides(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> bool:
+    """Whether a geom can touch another, by its bits or because a pair names it."""
+    paired = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)} - {""}
+    return bool(geom.contype or geom.conaffinity) or geom.name in paired
+
+
 class _Edits:
     """Changes a spec where MuJoCo stops at it, and keeps what was changed.
 
@@ -470,7 +482,7 @@ class _Edits:
 
     def _without_volume(self, name: str) -> bool:
         mesh, geoms = self._users(name)
-        is_colliding = any(map(self._collides, geoms))
+        is_colliding = any(collides(self.spec, each) for each in geoms)
         if mesh is None or (mesh.inertia == _SHELL and not is_colliding):
             return False
         if is_colliding and self._is_simulated:
@@ -490,7 +502,9 @@ class _Edits:
 
     def _without_area(self, name: str) -> bool:
         mesh, geoms = self._users(name)
-        if mesh is None or (self._is_simulated and any(map(self._collides, geoms))):
+        if mesh is None or (
+            self._is_simulated and any(collides(self.spec, each) for each in geoms)
+        ):
             return False
         for thing in [*geoms, mesh]:
             self.spec.delete(thing)
@@ -528,12 +542,6 @@ class _Edits:
     def _users(self, name: str) -> tuple[mujoco.MjsMesh | None, list[mujoco.MjsGeom]]:
         """A mesh and the geoms that show it."""
         return self.spec.mesh(name), [each for each in self.spec.geoms if each.meshname == name]
-
-    def _collides(self, geom: mujoco.MjsGeom) -> bool:
-        paired = {name for pair in self.spec.pairs for name in (pair.geomname1, pair.geomname2)} - {
-            ""
-        }
-        return bool(geom.contype or geom.conaffinity) or geom.name in paired
 
     def _stop_colliding(self, geoms: Iterable[mujoco.MjsGeom]) -> None:
         names = {each.name for each in geoms} - {""}

@@ -28,7 +28,7 @@ from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.parts import sound_points
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
-from cluttergen_jax.errors import AssetError
+from cluttergen_jax.errors import AssetError, first_names
 from cluttergen_jax.importing.readers import primitives
 
 _GEOM = mujoco.mjtGeom
@@ -323,9 +323,7 @@ def _flat_places(model: mujoco.MjModel, geom: int, corners: Mesh) -> np.ndarray:
     unit = corners.vertices / size
     if kind in _PROJECTED:
         return unit[:, :2] * repeat * [0.5, -0.5] - 0.5
-    normals = np.repeat(
-        corners.normals / np.linalg.norm(corners.normals, axis=1)[:, None], 3, axis=0
-    )
+    normals = np.repeat(corners.normals / corners.areas[:, None], 3, axis=0)
     places = _on_box(unit, normals) if kind == _GEOM.mjGEOM_BOX else _around(unit, kind, size)
     if kind == _GEOM.mjGEOM_CYLINDER:
         places = np.where(np.abs(normals[:, 2:]) > _DISK, (unit[:, :2] + 1) / 2, places)
@@ -583,10 +581,9 @@ def _inner_points(hull: Mesh) -> np.ndarray:
 
 def _names(model: mujoco.MjModel, geoms: Sequence[int]) -> str:
     """The first few geoms by their names, or else by their kinds."""
-    kinds = {i: geom_kind(model, i).name.removeprefix("mjGEOM_").lower() for i in geoms}
-    names = [
-        repr(model.geom(i).name) if model.geom(i).name else f"a {kinds[i]}"
-        for i in geoms[:_MOST_NAMES]
-    ]
-    more = [f"{len(geoms) - _MOST_NAMES} more"] if len(geoms) > _MOST_NAMES else []
-    return ", ".join([*names, *more])
+    names = []
+    for geom in geoms:
+        kind = geom_kind(model, geom).name.removeprefix("mjGEOM_").lower()
+        name = model.geom(geom).name
+        names.append(repr(name) if name else f"a {kind}")
+    return first_names(names, _MOST_NAMES, ", {} more")

@@ -13,7 +13,7 @@ from cluttergen_jax.assets.mass import MassProperties, StatedMass, combine_masse
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.shape import Joint, Piece
-from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.errors import ConfigError, closest, first_names
 
 MAX_PARTS = 32
 _HAIR = 1e-6
@@ -123,7 +123,7 @@ def sound_mass(bodies: Sequence[MassProperties]) -> MassProperties | None:
 def unknown_body(body: str, path: Path, known: Iterable[str], what: str = "body") -> ConfigError:
     """The error that a file has no body, link, model or node of that name."""
     names = [name for name in known if name]
-    allowed = ", ".join(names[:_MOST_NAMES]) + (", ..." if len(names) > _MOST_NAMES else "")
+    allowed = first_names(names, _MOST_NAMES, ", ...")
     return ConfigError(
         f"{what} {body!r} of {path.name}",
         allowed or f"nothing in it has a name: {path.name} without '#'",

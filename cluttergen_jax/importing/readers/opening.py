@@ -92,16 +92,18 @@ def find_named(folder: Path, name: str) -> Path | None:
     plain = plain.replace("\\", "/")
     last = plain.rpartition("/")[2]
     places = (plain, *(f"{each}/{last}" for each in _FOLDERS))
-    return next((found for each in places if last and _is_file(found := folder / each)), None)
+    return next(
+        (found for each in places if last and _is(Path.is_file, found := folder / each)), None
+    )
 
 
 def folder_place(model: Path, name: str) -> Path | None:
     """The folder that a model names, looked for as `mesh_place` does; None if it is not there."""
-    return mesh_place(model, name, _is_folder)
+    return mesh_place(model, name, Path.is_dir)
 
 
 def mesh_place(
-    model: Path, name: str, is_there: Callable[[Path], bool] | None = None
+    model: Path, name: str, is_there: Callable[[Path], bool] = Path.is_file
 ) -> Path | None:
     """The file that a URDF or SDF names, None if it is not there.
 
@@ -114,8 +116,7 @@ def mesh_place(
     """
     if len(name) > _LONGEST:
         return None
-    is_that = is_there or _is_file
-    return next((each for each in _candidates(model, name) if is_that(each)), None)
+    return next((each for each in _candidates(model, name) if _is(is_there, each)), None)
 
 
 def _candidates(model: Path, name: str) -> Iterator[Path]:
@@ -146,15 +147,8 @@ def _plain_path(name: str) -> str:
     return plain[drive.end() :] if (drive := _DRIVE.match(plain)) else plain
 
 
-def _is_folder(path: Path) -> bool:
+def _is(kind: Callable[[Path], bool], path: Path) -> bool:
     try:
-        return path.is_dir()
-    except (OSError, ValueError):
-        return False
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
+        return kind(path)
     except (OSError, ValueError):
         return False

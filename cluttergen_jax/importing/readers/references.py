@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,13 @@ from xml.etree import ElementTree
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.damage import stand_in
 from cluttergen_jax.importing.readers.mjcf import world_bodies
-from cluttergen_jax.importing.readers.mjcf_compile import check_mjcf_extent, compile_with_notes
+from cluttergen_jax.importing.readers.mjcf_compile import (
+    asset_folders,
+    check_mjcf_extent,
+    compile_with_notes,
+    named_files,
+    places_of,
+)
 from cluttergen_jax.importing.readers.opening import (
     MOST_XML,
     as_utf8,
@@ -35,7 +40,6 @@ _MADE_BY_MUJOCO = ("frame", "replicate", "attach")
 """Elements whose bodies hang on what the element hangs on."""
 _MODELS = (".sdf", ".urdf", ".xml")
 _SHOWS_NOTHING = ("light", "camera", "site")
-_FOLDERS = ("meshdir", "assetdir", "texturedir")
 _NAMED = re.compile(r"\bfile(?:name)?\s*=\s*[\"']([^\"'<>]+)")
 
 
@@ -157,21 +161,13 @@ def _mjcf(path: Path) -> ModelFile:
     includes.discard(path.resolve())
     if root is None:
         return ModelFile(path, "mjcf", _named_in_text(path), is_whole=False)
-    folders = {path.parent}
-    for compiler in root.iter("compiler"):
-        folders |= {path.parent / compiler.get(name, "") for name in _FOLDERS}
+    folders = [path.parent, *asset_folders(root, path.parent)]
     files: set[Path] = set()
     is_whole = True
     for element in root.iter():
-        names = [
-            value.replace("\\", "/") for name, value in element.items() if name.startswith("file")
-        ]
-        there = {
-            file.resolve()
-            for name in names
-            for file in _candidates(name, folders)
-            if file.is_file()
-        }
+        names = list(named_files(element))
+        places = (file for name in names for file in places_of(name, folders))
+        there = {file.resolve() for file in places if file.is_file()}
         is_whole &= bool(there) or not names
         if element.tag == "model":
             # An attached model is part of this one, with all that it names itself.
@@ -214,13 +210,6 @@ def _bodies(path: Path, root: Element) -> tuple[str, ...]:
             model = compile_with_notes(path)[0]
             return tuple(model.body(each).name for each in world_bodies(model))
     return tuple(child.get("name", "") for child in inside if child.tag == "body")
-
-
-def _candidates(name: str, folders: set[Path]) -> Iterator[Path]:
-    """Where MuJoCo may look for a file, with its path stripped or not."""
-    for folder in folders:
-        yield folder / name
-        yield folder / Path(name).name
 
 
 def _expand_includes(path: Path, main: Path, includes: set[Path]) -> Element | None:

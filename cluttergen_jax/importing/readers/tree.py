@@ -31,18 +31,8 @@ SETTINGS = "objects.toml"
 
 # Materials, textures and buffers belong to a mesh beside them; label.json to a URDF, model.config to an SDF.
 _COMPANIONS = (
-    ".mtl",
-    ".material",
-    ".bin",
-    ".png",
-    ".jpg",
-    ".jpeg",
-    ".bmp",
-    ".tga",
-    ".tif",
-    ".tiff",
-    ".webp",
-    ".gif",
+    *(".mtl", ".material", ".bin", ".png", ".jpg", ".jpeg", ".bmp", ".tga"),
+    *(".tif", ".tiff", ".webp", ".gif"),
 )
 _NOTES = (SETTINGS, "label.json", CONFIG)
 _OTHER_FORMATS = re.compile(
