@@ -314,8 +314,8 @@ def compile_with_notes(
 ) -> tuple[mujoco.MjModel, tuple[str, ...]]:
     """The model of an MJCF file, whose names are text, and what had to be changed in it (see the module).
 
-    MuJoCo compiles in the process that calls it, where a crash, or all memory, would end all: the
-    file is tried in a process with limits first.
+    MuJoCo compiles in the process that calls it, where a crash, or all memory, would end the whole program:
+    so the file is tried in a process with limits first.
 
     Raises:
       AssetError: MuJoCo cannot compile it (its own message is kept), a name is not UTF-8, or it goes beyond
