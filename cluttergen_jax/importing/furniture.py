@@ -94,7 +94,7 @@ def _furniture_of(bodies: Sequence[str], facts: Sequence[BodyFacts]) -> tuple[li
     """Those that stand fixed in a world, all if none does; and in words what is left out."""
     if len(facts) != len(bodies):
         return list(bodies), []
-    taken = []
+    taken: list[str] = []
     left_out: dict[str, list[str]] = {}
     for body, each in zip(bodies, facts, strict=True):
         reason = _why_no_furniture(each)
