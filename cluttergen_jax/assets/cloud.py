@@ -118,13 +118,17 @@ _PER_SQUARE_METRE = 4000
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Points of a scene."""
+    """Points of a scene.
 
-    points: np.ndarray  # f32[P, 3], metres, world frame.
-    colours: np.ndarray  # uint8[P, 3].
-    labels: (
-        np.ndarray
-    )  # i32[P]: 1 for the support's top, 2 + k for object k (as in `sensing.rays`).
+    Attributes:
+      points: f32[P, 3], metres, world frame.
+      colours: uint8[P, 3].
+      labels: i32[P]: 1 for the support's top, 2 + k for object k (as in `sensing.rays`).
+    """
+
+    points: np.ndarray
+    colours: np.ndarray
+    labels: np.ndarray
 
 
 def cloud_colours(asset: ObjectAsset) -> np.ndarray:

@@ -27,16 +27,19 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """The space that an object takes."""
+    """The space that an object takes.
 
-    mesh: Mesh  # Watertight and oriented outwards, without inner walls.
-    is_exact: (
-        bool  # Whether it is made of the object's own triangles; else it was rebuilt from a grid.
-    )
-    surface: Mesh  # What was given: all triangles, welded.
-    components: tuple[
-        Mesh, ...
-    ] = ()  # Closed surfaces whose union is `mesh`; none of rebuilt or fine ones.
+    Attributes:
+      mesh: watertight and oriented outwards, without inner walls.
+      is_exact: whether it is made of the object's own triangles; else it was rebuilt from a grid.
+      surface: what was given: all triangles, welded.
+      components: closed surfaces whose union is `mesh`; none of rebuilt or fine ones.
+    """
+
+    mesh: Mesh
+    is_exact: bool
+    surface: Mesh
+    components: tuple[Mesh, ...] = ()
 
     @property
     def volume(self) -> float:

@@ -47,14 +47,19 @@ _MOST_TRIED = 60
 
 @dataclass(frozen=True, eq=False)
 class Stance:
-    """One pose at rest."""
+    """One pose at rest.
 
-    up: np.ndarray  # f64[3], unit: the direction of the body's frame that points up.
-    tip: float  # Radians by which the body can be tilted, in the weakest direction, and comes back.
-    likelihood: (
-        float  # Share of all directions from which it rolls into this pose, if it rolls slowly.
-    )
-    height: float  # Metres from the plane to the highest point.
+    Attributes:
+      up: f64[3], unit: the direction of the body's frame that points up.
+      tip: radians by which the body can be tilted, in the weakest direction, and comes back.
+      likelihood: share of all directions from which it rolls into this pose, if it rolls slowly.
+      height: metres from the plane to the highest point.
+    """
+
+    up: np.ndarray
+    tip: float
+    likelihood: float
+    height: float
 
 
 def stances(points: np.ndarray, center: np.ndarray) -> list[Stance]:

@@ -106,11 +106,13 @@ _GRID = 41
 
 
 class TopBounds(NamedTuple):
-    """Where a region's corners may lie: `lower` <= corner @ `axes` <= `upper`, world x and y, metres."""
+    """Where a region's corners may lie: `lower` <= corner @ `axes` <= `upper`, world x and y, metres.
 
-    axes: (
-        np.ndarray
-    )  # f64[2, 2], columns along the sides of the support's own region; lower, upper: f64[2].
+    Attributes:
+      axes: f64[2, 2], columns along the sides of the support's own region; lower, upper: f64[2].
+    """
+
+    axes: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
 

@@ -39,13 +39,16 @@ class Symmetries:
     """Rigid motions of an object onto itself, in its own frame, as BOP states them.
 
     Any of them may be followed by any turn about one of the axes.
+
+    Attributes:
+      axes: f64[A, 3], unit vectors: the axis of a body of revolution, or three of a ball.
+      point: f64[3], metres: all axes go through it, and no motion moves it.
+      motions: f64[M, 4, 4], metres; the one that moves nothing is left out.
     """
 
-    axes: (
-        np.ndarray
-    )  # f64[A, 3], unit vectors: the axis of a body of revolution, or three of a ball.
-    point: np.ndarray  # f64[3], metres: all axes go through it, and no motion moves it.
-    motions: np.ndarray  # f64[M, 4, 4], metres; the one that moves nothing is left out.
+    axes: np.ndarray
+    point: np.ndarray
+    motions: np.ndarray
 
 
 def turn_symmetry(asset: ObjectAsset) -> int:

@@ -53,21 +53,27 @@ YCB = "ycb"
 
 @dataclass(frozen=True)
 class Planned:
-    """One object with everything that decides how it is read."""
+    """One object with everything that decides how it is read.
+
+    Attributes:
+      up: the vertical axis of its file, and who says so.
+      is_named: its name was chosen by the user, and stays.
+      out: why the layout of its set leaves it out; empty if it does not.
+      place: see `LeftOut.name`.
+      take: whether the user's settings take it or leave it out; None if they do not say.
+      no_model_of: the set in whose home it lies, and whose models are others; else empty.
+      alarms: what is stated beside it and not used, in words; among its source's notes.
+    """
 
     source: ObjectFile
     options: ReadOptions
-    up: UpAxis  # The vertical axis of its file, and who says so.
-    is_named: bool = False  # Its name was chosen by the user, and stays.
-    out: str = ""  # Why the layout of its set leaves it out; empty if it does not.
-    place: str = ""  # See `LeftOut.name`.
-    take: bool | None = (
-        None  # Whether the user's settings take it or leave it out; None if they do not say.
-    )
-    no_model_of: str = ""  # The set in whose home it lies, and whose models are others; else empty.
-    alarms: tuple[
-        str, ...
-    ] = ()  # What is stated beside it and not used, in words; among its source's notes.
+    up: UpAxis
+    is_named: bool = False
+    out: str = ""
+    place: str = ""
+    take: bool | None = None
+    no_model_of: str = ""
+    alarms: tuple[str, ...] = ()
 
     @property
     def is_other(self) -> bool:

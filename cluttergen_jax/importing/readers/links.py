@@ -37,12 +37,15 @@ _ENDLESS = ("plane", "empty")
 
 @dataclass(frozen=True)
 class SurfaceLook:
-    """What a file says of a surface's looks."""
+    """What a file says of a surface's looks.
 
-    colour: Rgba = GREY  # For what has none of its own; grey where the file says nothing.
-    texture: Texture | None = (
-        None  # For meshes that have texture coordinates and no image of their own.
-    )
+    Attributes:
+      colour: for what has none of its own; grey where the file says nothing.
+      texture: for meshes that have texture coordinates and no image of their own.
+    """
+
+    colour: Rgba = GREY
+    texture: Texture | None = None
 
 
 @dataclass(frozen=True)

@@ -74,11 +74,16 @@ def check_mjcf_extent(path: Path) -> None:
 
 @dataclass
 class _Model:
+    """What a model asks for.
+
+    Attributes:
+      sizes: elements of each file, copies included.
+      copies: of all that is replicated.
+    """
+
     path: Path
-    sizes: dict[Path, float] = field(
-        default_factory=dict
-    )  # Elements of each file, copies included.
-    copies: float = 0.0  # Of all that is replicated.
+    sizes: dict[Path, float] = field(default_factory=dict)
+    copies: float = 0.0
 
     def check(self) -> None:
         count = self._size(self.path, (), self.path.parent)

@@ -24,18 +24,27 @@ _HEAVIEST = 1000.0
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A model of several links or bodies as one rigid thing, all its joints frozen."""
+    """A model of several links or bodies as one rigid thing, all its joints frozen.
 
-    pieces: list[Piece]  # The surfaces that are shown.
-    parts: (
-        tuple[Mesh, ...] | None
-    )  # Convex collision parts; None if the file has none that can be used.
-    stated: StatedMass | None  # Mass and inertia; None if the file has none.
-    notes: tuple[str, ...] = ()  # What was decided about the model, in words.
-    density: float | None = None  # kg/m^3 as the file has it, for where it has no mass.
-    colliding: tuple[Mesh, ...] = ()  # All that collides as the file has it, convex or not.
-    link_of: tuple[int, ...] = ()  # For each piece, the number of its link; where links are read.
-    joints: tuple[Joint, ...] = ()  # Hinges and slides, which whoever keeps them need not freeze.
+    Attributes:
+      pieces: the surfaces that are shown.
+      parts: convex collision parts; None if the file has none that can be used.
+      stated: mass and inertia; None if the file has none.
+      notes: what was decided about the model, in words.
+      density: kg/m^3 as the file has it, for where it has no mass.
+      colliding: all that collides as the file has it, convex or not.
+      link_of: for each piece, the number of its link; where links are read.
+      joints: hinges and slides, which whoever keeps them need not freeze.
+    """
+
+    pieces: list[Piece]
+    parts: tuple[Mesh, ...] | None
+    stated: StatedMass | None
+    notes: tuple[str, ...] = ()
+    density: float | None = None
+    colliding: tuple[Mesh, ...] = ()
+    link_of: tuple[int, ...] = ()
+    joints: tuple[Joint, ...] = ()
 
 
 def frozen_note(joints: Iterable[tuple[str, str, float, bool]]) -> tuple[str, ...]:

@@ -45,20 +45,26 @@ _NAMED = re.compile(r"\bfile(?:name)?\s*=\s*[\"']([^\"'<>]+)")
 
 @dataclass(frozen=True)
 class ModelFile:
-    """A URDF, SDF or MJCF file; files by their real paths."""
+    """A URDF, SDF or MJCF file; files by their real paths.
+
+    Attributes:
+      kind: "urdf", "sdf" or "mjcf".
+      files: meshes and textures that it names and that are there.
+      includes: MJCF files that are part of it.
+      bodies: names of bodies of the world ("" for none) or of an SDF's models.
+      is_whole: all that it names is there.
+      fault: why it is no object: a part for others to include, or broken.
+      shared: files that it includes and that are objects of their own too.
+    """
 
     path: Path
-    kind: str  # "urdf", "sdf" or "mjcf".
-    files: frozenset[Path] = frozenset()  # Meshes and textures that it names and that are there.
-    includes: frozenset[Path] = frozenset()  # MJCF files that are part of it.
-    bodies: tuple[
-        str, ...
-    ] = ()  # Names of bodies of the world ("" for none) or of an SDF's models.
-    is_whole: bool = True  # All that it names is there.
-    fault: str = ""  # Why it is no object: a part for others to include, or broken.
-    shared: frozenset[Path] = (
-        frozenset()
-    )  # Files that it includes and that are objects of their own too.
+    kind: str
+    files: frozenset[Path] = frozenset()
+    includes: frozenset[Path] = frozenset()
+    bodies: tuple[str, ...] = ()
+    is_whole: bool = True
+    fault: str = ""
+    shared: frozenset[Path] = frozenset()
 
 
 def model_file(path: Path, is_given: bool = False) -> ModelFile | str:

@@ -171,14 +171,16 @@ def _sources_of(model: ModelFile) -> Iterator[ObjectFile]:
 
 @dataclass
 class _Tree:
-    """A walk through the folders below `root`: first everything is looked at, then sources are chosen."""
+    """A walk through the folders below `root`: first everything is looked at, then sources are chosen.
+
+    Attributes:
+      named: pieces, with the JSON that names them so.
+    """
 
     root: Path
     skipped: list[Skipped] = field(default_factory=list)
     files: dict[Path, list[Path]] = field(default_factory=dict)
-    named: dict[Path, Path] = field(
-        default_factory=dict
-    )  # Pieces, with the JSON that names them so.
+    named: dict[Path, Path] = field(default_factory=dict)
 
     def enter_all(self) -> None:
         """Lists each real folder once: first those that lie here, then those that only links lead to."""
