@@ -182,13 +182,14 @@ def finish_parts(
     feet = [points[points[:, 2] < bottom + 1e-6] for points in hulls]
     wide = _FOOT_SHARE * _width(np.concatenate(feet))
     lost = foot_loss * float(np.linalg.norm(np.ptp(np.concatenate(hulls), axis=0)))
-    plain = [
-        with_plain_bottom(points, bottom, base_corners)
-        if _width(foot) >= wide
-        else _with_small_foot(points, bottom, base_corners, lost)
-        for points, foot in zip(hulls, feet, strict=True)
-    ]
-    return [reduce_vertices(points, bottom, count) for points in plain]
+    finished = []
+    for points, foot in zip(hulls, feet, strict=True):
+        if _width(foot) >= wide:
+            plain = with_plain_bottom(points, bottom, base_corners)
+        else:
+            plain = _with_small_foot(points, bottom, base_corners, lost)
+        finished.append(reduce_vertices(plain, bottom, count))
+    return finished
 
 
 def _with_small_foot(points: np.ndarray, bottom: float, corners: int, lost: float) -> np.ndarray:

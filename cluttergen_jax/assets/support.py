@@ -129,12 +129,10 @@ class Surface:
     @property
     def lowest(self) -> float:
         """Metres: the height of its lowest point."""
+        if self.is_level:
+            return self.position[2]
         points = np.column_stack([self.polygon, np.zeros(len(self.polygon))])
-        return (
-            self.position[2]
-            if self.is_level
-            else float(transform_points(self.pose, points)[:, 2].min())
-        )
+        return float(transform_points(self.pose, points)[:, 2].min())
 
     @property
     def pose(self) -> np.ndarray:

@@ -394,19 +394,18 @@ def _up_axis(
 
 def _as_in_pool(planned: list[Planned], folder: Path | None) -> list[Planned]:
     """The objects, those that a pool has already by the names that they have there."""
+    if folder is None:
+        return planned
+    chosen = _chosen_names(planned)
     try:
-        held = (
-            {}
-            if folder is None
-            else {a.name: a.provenance.source for a in read_pool(folder).objects}
-        )
+        held = read_pool(folder).objects
+        free = {each.name: each.provenance.source for each in held if each.name not in chosen}
     except ClutterGenError:
         return planned
-    free = {name: source for name, source in held.items() if name not in _chosen_names(planned)}
     named = []
     for each in planned:
         source = each.source
-        pattern = re.compile(re.escape(each.source.plain) + r"(-\d+)?")
+        pattern = re.compile(re.escape(source.plain) + r"(-\d+)?")
         here = public_path(source.path)
         fitting = [name for name, path in free.items() if path == here and pattern.fullmatch(name)]
         if fitting and not each.is_named:

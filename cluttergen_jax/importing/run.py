@@ -357,11 +357,9 @@ def _make(
     with Progress("importing", len(jobs), "object") if is_shown else nullcontext() as progress:
         say = partial(print, file=sys.stderr, flush=True) if progress is None else progress.say
         if progress is not None:
-            at_once = (
-                f"{min(num_processes, len(jobs))} at a time"
-                if config.cluster is None
-                else "on a cluster"
-            )
+            at_once = "on a cluster"
+            if config.cluster is None:
+                at_once = f"{min(num_processes, len(jobs))} at a time"
             progress.say(f"importing {len(jobs)} objects, {at_once}")
         watch = None if progress is None else partial(_show_at_work, progress, jobs)
         try:

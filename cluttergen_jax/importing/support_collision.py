@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, product
 
 import numpy as np
 from manifold3d import Manifold
@@ -169,17 +169,11 @@ def _rectangular(mesh: Mesh) -> list[np.ndarray] | None:
         place = x + window[0].start, y + window[1].start, np.round(over[x, y]).astype(int)
         np.add.at(turn, place, up[face])
     is_solid = np.cumsum(turn, axis=2)[:, :, :-1] < 0
-    return [
-        np.array(
-            [
-                (x, y, z)
-                for x in planes[0][[a, b]]
-                for y in planes[1][[c, d]]
-                for z in planes[2][[e, f]]
-            ]
-        )
-        for a, b, c, d, e, f in _blocks(is_solid)
-    ]
+    boxes = []
+    for a, b, c, d, e, f in _blocks(is_solid):
+        sides = (planes[0][[a, b]], planes[1][[c, d]], planes[2][[e, f]])
+        boxes.append(np.array(list(product(*sides))))
+    return boxes
 
 
 def _blocks(solid: np.ndarray) -> list[tuple[int, int, int, int, int, int]]:
@@ -296,16 +290,13 @@ def estimates_of(joints: Sequence[Joint]) -> list[str]:
     for what in ("mass", "damping", "friction", "armature"):
         names = tuple(joint.name for joint in joints if getattr(joint, what) is None)
         missing.setdefault(names, []).append(what)
-    said = [
-        f"{', '.join(what)} of {', '.join(map(repr, names))}"
-        for names, what in missing.items()
-        if names
-    ]
-    return (
-        [f"its file states none, so exports as mjcf-joints estimate: {'; '.join(said)}"]
-        if said
-        else []
-    )
+    said = []
+    for names, what in missing.items():
+        if names:
+            said.append(f"{', '.join(what)} of {', '.join(map(repr, names))}")
+    if not said:
+        return []
+    return [f"its file states none, so exports as mjcf-joints estimate: {'; '.join(said)}"]
 
 
 def _limits_of(joint: Joint) -> tuple[float, float] | None:
@@ -420,13 +411,10 @@ class AirBox:
     def planes(self) -> list[tuple[np.ndarray, float]]:
         """Normals f64[3] that point out of the box, world frame, and offsets: the board below first."""
         following = np.roll(self.corners, -1, axis=0)
-        sides = [
-            (
-                np.array([y1 - y0, x0 - x1, 0.0]) / math.hypot(x1 - x0, y1 - y0),
-                np.array([x0, y0, 0.0]),
-            )
-            for (x0, y0), (x1, y1) in zip(self.corners, following, strict=True)
-        ]
+        sides = []
+        for (x0, y0), (x1, y1) in zip(self.corners, following, strict=True):
+            normal = np.array([y1 - y0, x0 - x1, 0.0]) / math.hypot(x1 - x0, y1 - y0)
+            sides.append((normal, np.array([x0, y0, 0.0])))
         up = np.array([0.0, 0.0, 1.0])
         local = [(-up, np.zeros(3)), *sides, (up, self.height * up)]
         R = self.T_world_surface[:3, :3]

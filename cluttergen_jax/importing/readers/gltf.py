@@ -81,11 +81,14 @@ def words_of(path: Path) -> dict[str, str]:
 def _first(document: Json, key: str) -> Any:
     """The first scene, or the only node or mesh."""
     values = document.get(key)
-    return (
-        values[0]
-        if isinstance(values, list) and (len(values) == 1 or (values and key == "scenes"))
-        else None
-    )
+    if isinstance(values, list) and (len(values) == 1 or (values and key == "scenes")):
+        return values[0]
+    return None
+
+
+def primitives_of(document: Json) -> list[Json]:
+    """The surfaces of all meshes."""
+    return [each for mesh in document.get("meshes", []) for each in mesh["primitives"]]
 
 
 _WHITE = [1, 1, 1, 1]
@@ -206,11 +209,9 @@ def check_understood(path: Path, document: Json) -> None:
         name for name in _MESHOPT if name not in wanted and _is_all_that_there_is(name, document)
     ]
     if wanted:
-        undo = (
-            f"gltf-transform copy {path.name} plain.glb"
-            if wanted[0] in _MESHOPT
-            else "exporting without it"
-        )
+        undo = "exporting without it"
+        if wanted[0] in _MESHOPT:
+            undo = f"gltf-transform copy {path.name} plain.glb"
         raise AssetError(
             f"{path} needs the glTF extension {', '.join(wanted)}, which is not read",
             ", ".join(_UNDERSTOOD),
@@ -229,9 +230,7 @@ def extension_notes(document: Json) -> Iterator[str]:
         name for name in used if not _is_followed(name) and name not in (*required, *_MESHOPT)
     ]:
         yield f"of glTF, {', '.join(others)} is not followed"
-    modes = [
-        each.get("mode", 4) for mesh in document.get("meshes", []) for each in mesh["primitives"]
-    ]
+    modes = [each.get("mode", 4) for each in primitives_of(document)]
     if num_left_out := sum(mode in _NO_SURFACE for mode in modes):
         yield f"{num_left_out} of its {len(modes)} surfaces are points or lines and are left out"
     nodes = document.get("nodes", [])

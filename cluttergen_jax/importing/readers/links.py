@@ -238,15 +238,13 @@ def rigid(
     Raises:
       AssetError: there is no geometry, or something cannot be read; the message names it.
     """
-    seen, solid = (
-        [
-            (piece, number)
-            for number, link in enumerate(links)
-            for element in link.element.findall(tag)
-            for piece in surfaces.pieces(element, link.place(element), scale, look(element))
-        ]
-        for tag in ("visual", "collision")
-    )
+    made: dict[str, list[tuple[Piece, int]]] = {"visual": [], "collision": []}
+    for tag, found in made.items():
+        for place, link in enumerate(links):
+            for element in link.element.findall(tag):
+                pieces = surfaces.pieces(element, link.place(element), scale, look(element))
+                found += [(piece, place) for piece in pieces]
+    seen, solid = made.values()
     visuals, collisions = ([piece for piece, _ in each] for each in (seen, solid))
     if not visuals and not collisions:
         raise AssetError(f"{surfaces.path} has neither visual nor collision geometry")
@@ -329,15 +327,11 @@ def _density(path: Path, links: Sequence[Link]) -> float | None:
     Raises:
       AssetError: they say different things.
     """
-    parents = [
-        each
-        for link in links
-        for tag in ("inertial", "collision")
-        for each in link.element.findall(tag)
-    ]
-    said_of = {
-        length(path, *_holder(each, child)) for each in parents for child in each.findall("density")
-    }
+    said_of = set()
+    for link in links:
+        for parent in (*link.element.findall("inertial"), *link.element.findall("collision")):
+            for child in parent.findall("density"):
+                said_of.add(length(path, *_holder(parent, child)))
     if len(said_of) > 1:
         raise AssetError(
             f"{path}: links of the densities {sorted(said_of)}",

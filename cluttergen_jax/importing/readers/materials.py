@@ -17,6 +17,7 @@ from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.gltf import (
     extension_notes,
     is_coloured_by_vertices,
+    primitives_of,
     read_document,
 )
 
@@ -279,13 +280,9 @@ def gltf_notes(path: Path, materials: Sequence[Any]) -> Iterator[str]:
     """
     document = read_document(path)
     yield from extension_notes(document)
-    primitives = [each for mesh in document.get("meshes", []) for each in mesh["primitives"]]
-    if any(
-        "COLOR_0" in each["attributes"]
-        and "material" in each
-        and not is_coloured_by_vertices(document, each)
-        for each in primitives
-    ):
+    coloured = [each for each in primitives_of(document) if "COLOR_0" in each["attributes"]]
+    dressed = [each for each in coloured if "material" in each]
+    if not all(is_coloured_by_vertices(document, each) for each in dressed):
         yield LEFT_OUT
     has_image = {
         each.name for each in materials if getattr(each, "baseColorTexture", None) is not None

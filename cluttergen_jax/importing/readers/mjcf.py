@@ -158,8 +158,10 @@ def _joints(
             if index in numbers:
                 parent[index], last[body] = last[body], numbers[index]
     moved = [last[int(model.geom_bodyid[geom])] for geom in geoms]
-    return tuple(
-        Joint(
+    joints = []
+    for index, number in numbers.items():
+        dof = model.jnt_dofadr[index]
+        joint = Joint(
             name=model.joint(index).name or f"joint_{number}",
             kind="slide" if model.jnt_type[index] == _JOINT.mjJNT_SLIDE else "hinge",
             anchor=tuple(data.xanchor[index].tolist()),
@@ -168,14 +170,14 @@ def _joints(
             range=tuple(model.jnt_range[index].tolist()) if model.jnt_limited[index] else None,
             parent=parent[index],
             pieces=tuple(place for place, by in enumerate(moved) if by == number),
-            damping=_above_zero(model.dof_damping[model.jnt_dofadr[index]]),
-            friction=_above_zero(model.dof_frictionloss[model.jnt_dofadr[index]]),
-            armature=_above_zero(model.dof_armature[model.jnt_dofadr[index]]),
-        ).with_mass(
-            sound_mass([_body_mass(model, data, body) for body in bodies if last[body] == number])
+            damping=_above_zero(model.dof_damping[dof]),
+            friction=_above_zero(model.dof_frictionloss[dof]),
+            armature=_above_zero(model.dof_armature[dof]),
         )
-        for index, number in numbers.items()
-    )
+        own_bodies = [body for body in bodies if last[body] == number]
+        masses = [_body_mass(model, data, body) for body in own_bodies]
+        joints.append(joint.with_mass(sound_mass(masses)))
+    return tuple(joints)
 
 
 def _above_zero(value: float) -> float | None:

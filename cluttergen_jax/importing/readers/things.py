@@ -249,13 +249,13 @@ def _things(
         own = titles(groups)
         is_named = np.array([bool(name) and own.count(name) == 1 for name in own])
         is_thing |= is_named & (size >= _LEAST_NAMED * size.max())
-    things = [group for group, is_large in zip(groups, is_thing, strict=True) if is_large]
-    crumbs = [
-        one
-        for group, is_large in zip(groups, is_thing, strict=True)
-        if not is_large
-        for one in group
-    ]
+    things = []
+    crumbs = []
+    for group, is_large in zip(groups, is_thing, strict=True):
+        if is_large:
+            things.append(group)
+        else:
+            crumbs += group
     crumbs += [each for each in components if id(each) not in chosen]
     if crumbs:
         nearest = _gaps(*_boxes([[each] for each in crumbs]), *_boxes(things)).argmin(1)

@@ -218,11 +218,9 @@ class _Tree:
 
     def sources(self) -> Iterator[ObjectFile]:
         """What is imported; the rest is added to `skipped`."""
+        every = [file for files in self.files.values() for file in files]
         models = {
-            file: _model_or_fault(file)
-            for files in self.files.values()
-            for file in files
-            if file.suffix.lower() in MODEL_SUFFIXES
+            file: _model_or_fault(file) for file in every if file.suffix.lower() in MODEL_SUFFIXES
         }
         readable = [model for model in models.values() if isinstance(model, ModelFile)]
         owner: dict[Path, ModelFile] = {}
@@ -230,7 +228,7 @@ class _Tree:
             for file in model.files | model.includes:
                 owner.setdefault(file, model)
         belonging = Belonging(self.files, readable, owner)
-        self.named = named_pieces([file for files in self.files.values() for file in files])
+        self.named = named_pieces(every)
         for files in self.files.values():
             here = [models[file] for file in files if file in models]
             for file in files:
