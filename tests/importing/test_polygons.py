@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import trimesh
 
+from cluttergen_jax.assets.folds import num_folds, without_folds
 from cluttergen_jax.assets.mesh import Mesh, clean_mesh
-from cluttergen_jax.assets.mesh_repair.folds import num_folds, without_folds
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_source
 

@@ -8,12 +8,11 @@ import re
 import struct
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
 
 import numpy as np
 
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.gltf_file import DTYPES, WIDTHS, Json
+from cluttergen_jax.importing.readers.gltf import DTYPES, WIDTHS, Json, buffer_file
 from cluttergen_jax.importing.readers.xml_tree import parse_numbers, parse_xml, plain_tag
 
 _HEAD = 84
@@ -61,10 +60,7 @@ def num_triangles(data: bytes, count: int) -> int | None:
 def sound_stl(data: bytes) -> tuple[bytes, tuple[str, ...]]:
     """A binary file with a true count and nothing after its triangles, and what was wrong with it."""
     count = announced_count(data)
-    number = (
-        None if is_text_stl(data, len(data)) or len(data) < _HEAD else num_triangles(data, count)
-    )
-    if number is None:
+    if is_text_stl(data, len(data)) or (number := num_triangles(data, count)) is None:
         return data, ()
     end = _HEAD + _RECORD.itemsize * number
     notes = []
@@ -74,11 +70,9 @@ def sound_stl(data: bytes) -> tuple[bytes, tuple[str, ...]]:
         )
     if rest := len(data) - end:
         notes.append(f"{rest:,} bytes after its last triangle are left out")
-    return (
-        (data[:80] + number.to_bytes(4, "little") + data[_HEAD:end], tuple(notes))
-        if notes
-        else (data, ())
-    )
+    if notes:
+        data = data[:80] + number.to_bytes(4, "little") + data[_HEAD:end]
+    return data, tuple(notes)
 
 
 def _is_closed_surface(data: bytes, number: int) -> bool:
@@ -334,10 +328,7 @@ def _buffer_size(path: Path, uri: str | None, binary: int) -> int:
         return binary
     if uri.startswith("data:"):
         return len(uri.partition(",")[2]) * 3 // 4
-    for name in (uri, unquote(uri)):
-        if (file := path.parent / name).is_file():
-            return file.stat().st_size
-    raise AssetError(f"{path} names buffer {uri!r}, which is not there", hint="restoring the file")
+    return buffer_file(path, uri).stat().st_size
 
 
 def _check_stl(path: Path) -> None:
@@ -379,12 +370,8 @@ def _check_ply(path: Path) -> None:
         raise _too_short(path, "what its header announces", needed, size - len(text))
     head, _, body = path.read_bytes().partition(b"end_header")
     promised = sum(int(number) for number in _PLY_COUNT.findall(head))
-    held = (
-        sum(bool(line.strip()) for line in body.splitlines())
-        if b"format ascii" in head
-        else promised
-    )
-    if held < promised:
+    held = sum(bool(line.strip()) for line in body.splitlines())
+    if b"format ascii" in head and held < promised:
         raise AssetError(
             f"{path} is cut short: its head promises {promised:,} vertices and faces, it has {held:,}",
             hint=_AGAIN,

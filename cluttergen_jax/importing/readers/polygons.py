@@ -13,6 +13,8 @@ from collections.abc import Sequence
 import manifold3d
 import numpy as np
 
+from cluttergen_jax.geometry import plane_axes, triangle_areas
+
 _SLACK = 1e-9
 """Of a polygon's area: so much of a triangle may face the other way, by rounding."""
 _BENT = 0.01
@@ -42,7 +44,7 @@ def cuts(points: np.ndarray, polygons: Sequence[np.ndarray]) -> tuple[dict[int, 
         which = np.flatnonzero(lengths == length)
         corners = points[np.stack([polygons[index] for index in which.tolist()])]
         for index in np.flatnonzero(_is_folded_fan(corners)):
-            triangles = _ears(corners[index])
+            triangles = cut_with_holes([corners[index]])
             if triangles is None:
                 is_crossing = True
             else:
@@ -60,11 +62,6 @@ def _is_folded_fan(corners: np.ndarray) -> np.ndarray:
     return (along < -_SLACK * (normal**2).sum(1)[:, None]).any(1)
 
 
-def _ears(corners: np.ndarray) -> np.ndarray | None:
-    """The triangles of one polygon seen along its normal; None if they would overlap."""
-    return cut_with_holes([corners])
-
-
 def cut_with_holes(rings: Sequence[np.ndarray]) -> np.ndarray | None:
     """The triangles of one polygon with holes seen along its normal; None if they would overlap, or if its
     holes lie elsewhere.
@@ -75,7 +72,8 @@ def cut_with_holes(rings: Sequence[np.ndarray]) -> np.ndarray | None:
     Returns:
       i64[M, 3], places in all rings one after another, turned as the outline is.
     """
-    plane = _plane_of(rings[0])
+    arms = rings[0][1:] - rings[0][0]
+    plane = plane_axes(np.cross(arms[:-1], arms[1:]).sum(0))
     flat = [(ring - rings[0][0]) @ plane for ring in rings]
     across = np.concatenate(rings) @ np.cross(*plane.T)
     if len(rings) > 1 and np.ptp(across) > _BENT * np.ptp(flat[0]):
@@ -95,30 +93,13 @@ def cut_with_holes(rings: Sequence[np.ndarray]) -> np.ndarray | None:
         ]
     except (RuntimeError, ValueError):
         return None
-    areas = _areas(whole[triangles])
+    areas = triangle_areas(whole[triangles])
     area = sum(_area(whole[each]) for each in order)
     # Each hole is joined to the outline by two more triangles.
     is_sound = (
         len(triangles) == len(whole) + 2 * (len(rings) - 1) - 2 and (areas >= -_SLACK * area).all()
     )
     return triangles if is_sound and np.isclose(areas.sum(), area, rtol=1e-6) else None
-
-
-def _plane_of(corners: np.ndarray) -> np.ndarray:
-    """f64[3, 2]: two axes in which the polygon f64[N, 3] is seen along its normal, counter-clockwise."""
-    arms = corners[1:] - corners[0]
-    normal = np.cross(arms[:-1], arms[1:]).sum(0)
-    normal = normal / max(float(np.linalg.norm(normal)), 1e-300)
-    side = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-    side = side / max(float(np.linalg.norm(side)), 1e-300)
-    return np.stack([side, np.cross(normal, side)], axis=1)
-
-
-def _areas(triangles: np.ndarray) -> np.ndarray:
-    """f64[M]: twice the signed areas of f64[M, 3, 2]."""
-    (ax, ay) = (triangles[:, 1] - triangles[:, 0]).T
-    (bx, by) = (triangles[:, 2] - triangles[:, 0]).T
-    return ax * by - ay * bx
 
 
 def _area(outline: np.ndarray) -> float:
