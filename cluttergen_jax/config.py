@@ -418,9 +418,16 @@ class VerifyConfig:
     """
 
     seconds: float = 10.0
-    max_shift: float = 0.005
-    max_turn_deg: float = 5.0
+    max_shift: float = StabilityConfig.stand_full_shift
+    max_turn_deg: float = math.degrees(StabilityConfig.stand_full_turn)
 
     def __post_init__(self) -> None:
         check_positive(self, "max_shift", "max_turn_deg")
         check_seconds("VerifyConfig.seconds", self.seconds)
+
+    @property
+    def limits(self) -> StabilityConfig:
+        """The same limits as `physics.standing` takes them."""
+        return StabilityConfig(
+            stand_full_shift=self.max_shift, stand_full_turn=math.radians(self.max_turn_deg)
+        )

@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from cluttergen_jax.config import StabilityConfig
-from cluttergen_jax.physics import stability
 from cluttergen_jax.physics.simulations import Simulations
+from cluttergen_jax.physics.standing import displacement
 from cluttergen_jax.types import Verdict
 
 _DOWN = np.array([0.0, 0.0, -1.0])
@@ -78,7 +78,7 @@ def _disturb(
             num_steps[running] += 1
             overflowed, is_finite = sims.failures(running)
             poses_now = sims.poses(running)
-            _, turn = stability.displacement(np, poses_now, start[running])
+            _, turn = displacement(np, poses_now, start[running])
             # In soft contact everything sinks a little, which is no fall.
             shift = np.linalg.norm(poses_now[..., :2] - start[running, :, :2], axis=-1)
             is_off = (shift > config.robust_shift) | (turn > config.robust_turn)

@@ -35,6 +35,7 @@ from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.margin import MIN_SHIFT, OverlapProbe
 from cluttergen_jax.physics.piles import Piler, PileRequest, walled_simulations
 from cluttergen_jax.physics.simulations import Motion, Simulations, sleeping_model
+from cluttergen_jax.physics.standing import displacement, verdict_of_scene
 from cluttergen_jax.types import Piling, Settling, Standing, Verdict
 
 MAX_BATCHES = 3
@@ -219,13 +220,13 @@ class NativePhysics(HostPhysics):
             motion = sims.run(
                 running, self._steps_to_verdict(int(result.num_steps[at[0]]), len(at), config)
             )
-            shift, turn = stability.displacement(np, motion.poses, start[running, None])
+            shift, turn = displacement(np, motion.poses, start[running, None])
             is_made = np.arange(shift.shape[1]) < (motion.num_steps - ~motion.is_finite)[:, None]
             counts = is_placed[running, None] & is_made[..., None]
             result.num_steps[at] += motion.num_steps
             result.shift[at] = np.maximum(result.shift[at], np.where(counts, shift, 0.0).max(1))
             result.turn[at] = np.maximum(result.turn[at], np.where(counts, turn, 0.0).max(1))
-            verdict = stability.verdict_of_scene(
+            verdict = verdict_of_scene(
                 np,
                 result.num_steps[at],
                 result.shift[at],
@@ -307,7 +308,7 @@ class _Attempt:
         focus = self.focus[running]
         velocity = motion.velocities[rows, :, focus]
         velocity[..., 3:] = rotate(np, motion.poses[rows, :, focus, 3:], velocity[..., 3:])
-        shift, turn = stability.displacement(np, motion.poses, self.start[running, None])
+        shift, turn = displacement(np, motion.poses, self.start[running, None])
         is_neighbour = self.is_neighbour[running]
         track = stability.Track(*(field[running] for field in self.track))
         # Of all steps at once: calls cost more than numbers.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -12,9 +11,9 @@ from cluttergen_jax.downstream.rearrange.observe import Cause
 from cluttergen_jax.downstream.robot.episode import WATCHED
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
-from cluttergen_jax.downstream.transforms import matrix_of, motion_between, offset
+from cluttergen_jax.downstream.transforms import matrix_of, offset
+from cluttergen_jax.physics.standing import check_standing, displacement, has_moved
 from cluttergen_jax.scene import Scene
-from cluttergen_jax.scene.bank.verify import verify_model
 
 # Metres and radians, up to its symmetry, that each object may be from its place in the chosen layout.
 MAX_ERROR = 0.015
@@ -100,13 +99,11 @@ class RearrangementJudge:
             body = spec.body(name)
             body.pos = pose[:3]
             body.quat = pose[3:]
-        found = verify_model(Path(), spec.compile(), 0, VerifyConfig())
+        found = check_standing(spec.compile(), 0, VerifyConfig().seconds, StabilityConfig())
         if not found.stands:
             raise Failed(Outcome.UNSTABLE, f"{found.worst}, alone")
 
 
 def _has_moved(now: np.ndarray, then: np.ndarray) -> np.ndarray:
     """bool[N]: poses f64[N, 7] farther apart than the last check of scenes allows."""
-    limits = StabilityConfig()
-    shift, turn = motion_between(now, then)
-    return (shift > limits.stand_full_shift) | (turn > limits.stand_full_turn)
+    return has_moved(*displacement(np, now, then), StabilityConfig())
