@@ -44,8 +44,8 @@ from cluttergen_jax.api.pretrain import pretrain
 from cluttergen_jax.api.render import render
 from cluttergen_jax.api.repair import repair
 from cluttergen_jax.api.train import train, train_suite
-from cluttergen_jax.api.verify import verify
 from cluttergen_jax.api.view import view
+from cluttergen_jax.judging.api import verify
 from cluttergen_jax.spec import SceneOptions, SceneSpec
 
 if TYPE_CHECKING:

@@ -28,9 +28,9 @@ from cluttergen_jax.spec import EvaluateOptions, SceneSpec, spec_of, takes_spec
 if TYPE_CHECKING:
     import numpy as np
 
-    from cluttergen_jax.evaluation.certify import Certification
     from cluttergen_jax.evaluation.comparison import Comparison
-    from cluttergen_jax.evaluation.judging.report import JudgeReport
+    from cluttergen_jax.judging.certify import Certification
+    from cluttergen_jax.judging.report import JudgeReport
     from cluttergen_jax.scene.bank import Bank
 
 _TRIALS = 1000
@@ -188,7 +188,7 @@ def certify(
       MissingExtraError: a cluster without the extra `ray`.
     """
     from cluttergen_jax.cluster import cluster_of
-    from cluttergen_jax.evaluation.certify import certify_bank
+    from cluttergen_jax.judging.certify import certify_bank
     from cluttergen_jax.scene.bank import Bank, read_bank
 
     check_seconds("seconds", seconds)
@@ -247,9 +247,9 @@ def judge(
       ConfigError: a setting is outside its range, a path does not exist, or no file is a scene.
       BankError: another process writes to `out`.
     """
-    from cluttergen_jax.evaluation.judging.judge import judge_scenes
-    from cluttergen_jax.evaluation.judging.rule import JudgeConfig
-    from cluttergen_jax.evaluation.judging.scene_files import find_scenes
+    from cluttergen_jax.judging.judge import judge_scenes
+    from cluttergen_jax.judging.rule import JudgeConfig
+    from cluttergen_jax.judging.scene_files import find_scenes
 
     check_workers("jobs", jobs)
     check_folder(out)

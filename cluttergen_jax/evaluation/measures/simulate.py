@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.measures.scene_models import SceneModels
+from cluttergen_jax.judging.scene_models import SceneModels
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.stability import displacement
 

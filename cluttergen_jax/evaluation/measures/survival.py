@@ -13,8 +13,8 @@ import numpy as np
 from cluttergen_jax.assets.obj import mesh_text
 from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.evaluation.measures import bullet_world
-from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.measures.simulate import Movement, each_scene, no_movement, watch
+from cluttergen_jax.judging.scene_models import SceneModels
 from cluttergen_jax.scene.export.frames import friction_of, harmonic_of
 from cluttergen_jax.scene.export.sdf import HYDROELASTIC_MODULUS
 

@@ -16,9 +16,9 @@ import pyarrow.parquet as pq
 
 from cluttergen_jax.assets.mjcf import VISUAL_GROUP
 from cluttergen_jax.config import DETECTORS, Detector
-from cluttergen_jax.evaluation.judging.rule import FALL, JudgeConfig, Judgement
-from cluttergen_jax.evaluation.judging.scene_files import read_model
 from cluttergen_jax.files import file_whole
+from cluttergen_jax.judging.rule import FALL, JudgeConfig, Judgement
+from cluttergen_jax.judging.scene_files import read_model
 from cluttergen_jax.rendering.camera import drawn_points
 from cluttergen_jax.rendering.gl import renderer_status
 from cluttergen_jax.rendering.picture import contact_sheet, render_model, save_png

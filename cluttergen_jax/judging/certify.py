@@ -20,17 +20,17 @@ from cluttergen_jax.cluster import Cluster, each_on
 from cluttergen_jax.config import DETECTORS, ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.evaluation.measures.arrangement import by_object
-from cluttergen_jax.evaluation.measures.contacts import contacts_of
-from cluttergen_jax.evaluation.measures.robustness import (
+from cluttergen_jax.evaluation.measures.simulate import each_scene, horizons_of, movement
+from cluttergen_jax.files import writing
+from cluttergen_jax.judging.contacts import contacts_of
+from cluttergen_jax.judging.robustness import (
     ShakeConfig,
     TiltConfig,
     robust,
     shake,
     tilt,
 )
-from cluttergen_jax.evaluation.measures.scene_models import SceneModels
-from cluttergen_jax.evaluation.measures.simulate import each_scene, horizons_of, movement
-from cluttergen_jax.files import writing
+from cluttergen_jax.judging.scene_models import SceneModels
 from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.placement.world import base_name, make_world
 from cluttergen_jax.progress import Progress

@@ -13,14 +13,14 @@ import numpy as np
 
 from cluttergen_jax.config import Detector
 from cluttergen_jax.errors import AssetError, ClutterGenError
-from cluttergen_jax.evaluation.judging.report import JudgedStart, JudgeReport
-from cluttergen_jax.evaluation.judging.rule import (
+from cluttergen_jax.judging.report import JudgedStart, JudgeReport
+from cluttergen_jax.judging.rule import (
     FreeBodies,
     JudgeConfig,
     find_free_bodies,
     judge_start,
 )
-from cluttergen_jax.evaluation.judging.scene_files import find_scenes, read_model, read_starts
+from cluttergen_jax.judging.scene_files import find_scenes, read_model, read_starts
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.progress import Progress
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from cluttergen_jax.config import VerifyConfig
 
 if TYPE_CHECKING:
-    from cluttergen_jax.scene.bank.verify import VerificationReport
+    from cluttergen_jax.judging.verify import VerificationReport
 
 
 def verify(
@@ -45,8 +45,8 @@ def verify(
       MissingExtraError: a cluster without the extra `ray`.
     """
     from cluttergen_jax.cluster import cluster_of
+    from cluttergen_jax.judging.verify import verify_files
     from cluttergen_jax.scene.bank.remote import bank_folder
-    from cluttergen_jax.scene.bank.verify import verify_files
 
     return verify_files(
         bank_folder(path),

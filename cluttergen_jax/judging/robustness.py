@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.measures.scene_models import SceneModel, SceneModels
 from cluttergen_jax.evaluation.measures.simulate import (
     MAX_SHIFT,
     MAX_TURN,
@@ -17,6 +16,7 @@ from cluttergen_jax.evaluation.measures.simulate import (
     movement,
     shift_and_turn,
 )
+from cluttergen_jax.judging.scene_models import SceneModel, SceneModels
 from cluttergen_jax.physics.simulations import SOFT_SOLIMP, SOFT_SOLREF
 
 # Steps between two looks at how far anything has moved.
