@@ -313,6 +313,11 @@ class StabilityConfig:
                 "raising max_steps",
             )
 
+    @classmethod
+    def standing_within(cls, max_shift: float, max_turn_deg: float) -> StabilityConfig:
+        """With these limits of a finished scene, metres and degrees."""
+        return cls(stand_full_shift=max_shift, stand_full_turn=math.radians(max_turn_deg))
+
     @property
     def file_margin(self) -> float:
         """Metres at which contacts of saved scenes begin; 0 but for robust ones (`ROBUST_MARGIN`)."""
@@ -428,6 +433,4 @@ class VerifyConfig:
     @property
     def limits(self) -> StabilityConfig:
         """The same limits as `physics.standing` takes them."""
-        return StabilityConfig(
-            stand_full_shift=self.max_shift, stand_full_turn=math.radians(self.max_turn_deg)
-        )
+        return StabilityConfig.standing_within(self.max_shift, self.max_turn_deg)

@@ -1,1 +1,1 @@
-"""The neutral judge: anybody's scenes by one strict rule."""
+"""Judges scenes: saved ones, anybody's, and how firmly those of a bank stand."""

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from cluttergen_jax.evaluation.measures.simulate import each_scene
-from cluttergen_jax.judging.scene_models import SceneModel, SceneModels
+from cluttergen_jax.judging.scene_models import SceneModel, SceneModels, each_scene
 from cluttergen_jax.physics.margin import margins_of
 
 BORNE_SHARE = 0.1

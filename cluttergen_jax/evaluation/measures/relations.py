@@ -25,10 +25,9 @@ from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.quality.hollow import hollow_of
-from cluttergen_jax.evaluation.measures.simulate import each_scene
 from cluttergen_jax.geometry import conjugate, rotate, transform_points
 from cluttergen_jax.judging.contacts import Contacts, contacts_of
-from cluttergen_jax.judging.scene_models import SceneModel, SceneModels
+from cluttergen_jax.judging.scene_models import SceneModel, SceneModels, each_scene
 
 SURFACE_SHARE = 0.25
 MAX_VESSEL_TILT = float(np.radians(45.0))

@@ -21,7 +21,6 @@ from cluttergen_jax.evaluation.cells import (
     share_of,
     table_of,
 )
-from cluttergen_jax.evaluation.measures.simulate import movement
 from cluttergen_jax.evaluation.measures.survival import PEERS, SURVIVAL_SECONDS, movement_elsewhere
 from cluttergen_jax.evaluation.rankings import share_notes
 from cluttergen_jax.evaluation.records import Result, Row
@@ -48,7 +47,7 @@ from cluttergen_jax.judging.robustness import (
     survives,
     tilt,
 )
-from cluttergen_jax.judging.scene_models import SceneModels
+from cluttergen_jax.judging.scene_models import SceneModels, movement
 from cluttergen_jax.placement.baselines import BASELINES
 from cluttergen_jax.placement.config import MIN_MARGIN
 from cluttergen_jax.statistics import finite, proportion
