@@ -256,7 +256,7 @@ class StabilityConfig:
       both_detectors: what the last check and the slight disturbance ask is asked with each of MuJoCo's two
         detectors of convex collisions (`DETECTORS`), not with its own choice alone; native engine only.
       robust_tilt: radians; above 0, what came to rest must also stand while gravity, tilted by so much, turns
-        once around (`physics.disturbance`) and contacts are as soft as MuJoCo's default; 0 asks for nothing.
+        once around (`native.disturb`) and contacts are as soft as MuJoCo's default; 0 asks for nothing.
         The others count only then:
       robust_friction: factor of all friction coefficients meanwhile.
       robust_steps: steps of that turn.

@@ -95,7 +95,7 @@ _SLOW = (
 
 
 class MjxPhysics(OneScenePhysics):
-    """`protocol.Physics` on MJX.
+    """`host.Physics` on MJX.
 
     Args:
       layout: the compiled world.

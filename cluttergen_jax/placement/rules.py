@@ -8,8 +8,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from cluttergen_jax.physics.host import NumberedEngines
-from cluttergen_jax.physics.protocol import Physics
+from cluttergen_jax.physics.host import NumberedEngines, Physics
 from cluttergen_jax.physics.standing import has_moved
 from cluttergen_jax.placement.acceptance import Acceptance
 from cluttergen_jax.placement.boxes import footprint_area
