@@ -10,7 +10,7 @@ import numpy as np
 
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.judging.scene_models import SceneModel, SceneModels, each_scene, movement
+from cluttergen_jax.judging.scene_models import SceneModels, StandingModel, each_scene, movement
 from cluttergen_jax.physics.simulations import SOFT_SOLIMP, SOFT_SOLREF
 from cluttergen_jax.physics.standing import STRIDE, has_moved, stepper, watch
 
@@ -73,7 +73,7 @@ def shake(
 
 
 def _withstood(
-    scene: SceneModel, poses: np.ndarray, direction: np.ndarray, config: ShakeConfig
+    scene: StandingModel, poses: np.ndarray, direction: np.ndarray, config: ShakeConfig
 ) -> float:
     """m/s^2 at which one scene gives way."""
     # Gravity belongs to the model, which other threads use at the same time.
@@ -229,7 +229,7 @@ def tilt(
     return np.array(shares, np.float64).reshape(len(is_placed), len(config.degrees))
 
 
-def _stands(scene: SceneModel, poses: np.ndarray, turn: float, config: TiltConfig) -> np.ndarray:
+def _stands(scene: StandingModel, poses: np.ndarray, turn: float, config: TiltConfig) -> np.ndarray:
     """bool[A]: at which angles one scene stands, gravity tilted towards one direction."""
     result = np.ones(len(config.degrees), bool)
     for place in reversed(range(len(config.degrees))):
@@ -244,7 +244,7 @@ def _stands(scene: SceneModel, poses: np.ndarray, turn: float, config: TiltConfi
 
 
 def _stays(
-    scene: SceneModel,
+    scene: StandingModel,
     model: mujoco.MjModel,
     poses: np.ndarray,
     down: np.ndarray,

@@ -88,7 +88,7 @@ def check_scenes(poses: np.ndarray, is_placed: np.ndarray, num_objects: int | No
 
 
 @dataclass(frozen=True, eq=False)
-class SceneModel:
+class StandingModel:
     """One set of objects on the support, over a floor. n objects.
 
     Attributes:
@@ -143,7 +143,7 @@ class SceneModels:
         self.stability = stability or StabilityConfig()
         self.contact = contact or ContactConfig()
         self.mass_scale = np.broadcast_to(np.asarray(mass_scale, np.float64), (world.num_objects,))
-        self._cache: OrderedDict[bytes, SceneModel] = OrderedDict()
+        self._cache: OrderedDict[bytes, StandingModel] = OrderedDict()
         self._lock = threading.Lock()
 
     def with_detector(self, detector: Detector) -> SceneModels:
@@ -154,7 +154,7 @@ class SceneModels:
         """ConfigError unless they are scenes of this world: poses f[N, K, 7], is_placed bool[N, K]."""
         check_scenes(poses, is_placed, self.world.num_objects)
 
-    def of(self, is_placed: np.ndarray) -> SceneModel:
+    def of(self, is_placed: np.ndarray) -> StandingModel:
         """The model of the objects that stand: bool[K]."""
         key = np.asarray(is_placed, bool).tobytes()
         with self._lock:
@@ -165,7 +165,7 @@ class SceneModels:
             self._cache.move_to_end(key)
             return self._cache[key]
 
-    def _compile(self, objects: np.ndarray) -> SceneModel:
+    def _compile(self, objects: np.ndarray) -> StandingModel:
         spec = new_spec(self.stability.timestep, self.contact)
         spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=_FLOOR)
         add_support(spec, self.world.support)
@@ -179,7 +179,7 @@ class SceneModels:
             model.body_mass[bodies] *= scale
             model.body_inertia[bodies] *= scale[:, None]
             mujoco.mj_setConst(model, mujoco.MjData(model))
-        return SceneModel(Layout.of(model, self.world.support.top), objects)
+        return StandingModel(Layout.of(model, self.world.support.top), objects)
 
 
 def each_scene(

@@ -30,8 +30,16 @@ from cluttergen_jax.physics.host import (
 )
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.margin import MIN_SHIFT
-from cluttergen_jax.physics.mjx_contacts import ContactRows, bearers, margins, overlaps
-from cluttergen_jax.physics.mjx_scenes import WARP_DEFAULTS, MjxScenes, WarpOptions, start_poses
+from cluttergen_jax.physics.mjx_scenes import (
+    WARP_DEFAULTS,
+    ContactRows,
+    MjxScenes,
+    WarpOptions,
+    bearers,
+    margins,
+    overlaps,
+    start_poses,
+)
 from cluttergen_jax.physics.standing import displacement, verdict_of_scene
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
 
