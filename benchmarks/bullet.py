@@ -17,7 +17,7 @@ import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.evaluation.measures.survival import (
+from cluttergen_jax.evaluation.measures.bullet_world import (
     BodyFrames,
     add_object,
     add_support,

@@ -25,7 +25,7 @@ from benchmarks.section import prose, report, table
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import PILE_NOSLIP, ContactConfig, StabilityConfig
-from cluttergen_jax.evaluation.measures.survival import object_friction, support_friction
+from cluttergen_jax.evaluation.measures.bullet_world import object_friction, support_friction
 from cluttergen_jax.geometry import rotate
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.physics.piles import DRAG, FRICTION, TURNING_DRAG, Piler, PileRequest
