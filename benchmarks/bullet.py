@@ -26,7 +26,7 @@ from cluttergen_jax.evaluation.measures.bullet_world import (
     write_compound,
 )
 from cluttergen_jax.physics.host import below_top, empty_settling, empty_standing
-from cluttergen_jax.physics.stability import displacement
+from cluttergen_jax.physics.standing import displacement
 from cluttergen_jax.placement.world import World
 from cluttergen_jax.types import Settling, Standing, Verdict
 

@@ -17,9 +17,8 @@ import numpy as np
 import tyro
 
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.evaluation.measures.arrangement import by_object
-from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.measures.survival import PEERS, movement_elsewhere
+from cluttergen_jax.judging.scene_models import SceneModels, by_object
 from cluttergen_jax.placement.world import base_name, make_world
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.scene import config_of

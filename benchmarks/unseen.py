@@ -20,8 +20,8 @@ import tyro
 import cluttergen_jax as cg
 from benchmarks.section import IMAGES, prose, report, table
 from cluttergen_jax.errors import PoolError
-from cluttergen_jax.evaluation.measures.arrangement import by_object
 from cluttergen_jax.evaluation.measures.diversity import embed, scene_kernel, vendi_score
+from cluttergen_jax.judging.scene_models import by_object
 from cluttergen_jax.rendering.assets import render_scene
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 from cluttergen_jax.statistics import proportion

@@ -44,8 +44,8 @@ from cluttergen_jax.api.pretrain import pretrain
 from cluttergen_jax.api.render import render
 from cluttergen_jax.api.repair import repair
 from cluttergen_jax.api.train import train, train_suite
-from cluttergen_jax.api.verify import verify
 from cluttergen_jax.api.view import view
+from cluttergen_jax.judging.api import certify, judge, verify
 from cluttergen_jax.spec import SceneOptions, SceneSpec
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ if TYPE_CHECKING:
         list_robots,
         read_robot,
     )
-    from cluttergen_jax.evaluation.api import certify, evaluate, judge
+    from cluttergen_jax.evaluation.api import evaluate
     from cluttergen_jax.generation import BankArrays, Sampler, load_bank, make_sampler, stream_bank
     from cluttergen_jax.generation.environments import (
         make_env,
@@ -169,7 +169,7 @@ __all__ = [
 
 # What is in no module of this list is in `generation`.
 _MODULES = {
-    "evaluation.api": ("certify", "evaluate", "judge"),
+    "evaluation.api": ("evaluate",),
     "downstream.api": ("evaluate_suite",),
     "downstream.dataset.api": ("make_dataset",),
     "downstream.environments.api": ("make_robot_env", "scripted_actions"),

@@ -236,7 +236,7 @@ class StabilityConfig:
       both_detectors: what the last check and the slight disturbance ask is asked with each of MuJoCo's two
         detectors of convex collisions (`DETECTORS`), not with its own choice alone; native engine only.
       robust_tilt: radians; above 0, what came to rest must also stand while gravity, tilted by so much, turns
-        once around (`physics.disturbance`) and contacts are as soft as MuJoCo's default; 0 asks for nothing.
+        once around (`native.disturb`) and contacts are as soft as MuJoCo's default; 0 asks for nothing.
         The others count only then:
       robust_friction: factor of all friction coefficients meanwhile.
       robust_steps: steps of that turn.
@@ -292,6 +292,11 @@ class StabilityConfig:
                 "at most max_steps",
                 "raising max_steps",
             )
+
+    @classmethod
+    def standing_within(cls, max_shift: float, max_turn_deg: float) -> StabilityConfig:
+        """With these limits of a finished scene, metres and degrees."""
+        return cls(stand_full_shift=max_shift, stand_full_turn=math.radians(max_turn_deg))
 
     @property
     def file_margin(self) -> float:
@@ -398,9 +403,14 @@ class VerifyConfig:
     """
 
     seconds: float = 10.0
-    max_shift: float = 0.005
-    max_turn_deg: float = 5.0
+    max_shift: float = StabilityConfig.stand_full_shift
+    max_turn_deg: float = math.degrees(StabilityConfig.stand_full_turn)
 
     def __post_init__(self) -> None:
         check_positive(self, "max_shift", "max_turn_deg")
         check_seconds("VerifyConfig.seconds", self.seconds)
+
+    @property
+    def limits(self) -> StabilityConfig:
+        """The same limits as `physics.standing` takes them."""
+        return StabilityConfig.standing_within(self.max_shift, self.max_turn_deg)

@@ -34,9 +34,8 @@ from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.methods import proposer_of, with_history_of
 from cluttergen_jax.physics import engine_of, make_physics
-from cluttergen_jax.physics.host import SwappablePhysics
+from cluttergen_jax.physics.host import NumberedEngines, Physics
 from cluttergen_jax.physics.native import NativePhysics
-from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.boxes import footprint_area
 from cluttergen_jax.placement.problem import Problem, ProblemConfig, compose
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout
@@ -70,7 +69,7 @@ class Runner:
         self.resolve = Resolver(self.checkpoints, self.engine).resolve
         self.progress = Progress("evaluating", 0, "scene")
         self._setups: OrderedDict[Any, Problem] = OrderedDict()
-        self._swappable: dict[tuple[int, StabilityConfig], SwappablePhysics] = {}
+        self._shared: dict[tuple[int, StabilityConfig], tuple[NumberedEngines, Physics]] = {}
         self._made: set[str] = set()
         self._rows: dict[str, Row] = {}
         self._num_rows = self._num_done = 0
@@ -316,10 +315,12 @@ class Runner:
         if not isinstance(engine, NativePhysics):
             return engine
         sizes = (world.num_objects, stability)
-        if sizes not in self._swappable:
-            self._swappable[sizes] = SwappablePhysics(*sizes)
-        self._swappable[sizes].engine = engine
-        return self._swappable[sizes]
+        if sizes not in self._shared:
+            engines = NumberedEngines(*sizes)
+            self._shared[sizes] = engines, engines.with_number(np.int32(0))
+        engines, physics = self._shared[sizes]
+        engines.put(engine)
+        return physics
 
     def _base_setup(self, resolved: ResolvedTrial) -> Problem:
         """The trial's setup but for method and stability; the latest few are kept."""

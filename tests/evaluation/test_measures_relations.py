@@ -8,14 +8,14 @@ from scipy.spatial.transform import Rotation
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.evaluation.measures.contacts import contacts_of
 from cluttergen_jax.evaluation.measures.relations import (
     Relation,
     relations,
     tilt_from_rest,
     vessel_of,
 )
-from cluttergen_jax.evaluation.measures.scene_models import SceneModels
+from cluttergen_jax.judging.contacts import contacts_of
+from cluttergen_jax.judging.scene_models import SceneModels
 from cluttergen_jax.placement.world import make_world
 from tests.helpers.worlds import TOP
 

@@ -7,9 +7,8 @@ import pytest
 
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.evaluation.measures.scene_models import SceneModels
-from cluttergen_jax.evaluation.measures.simulate import movement
 from cluttergen_jax.evaluation.measures.survival import DrakePeer, movement_elsewhere
+from cluttergen_jax.judging.scene_models import SceneModels, movement
 from cluttergen_jax.placement.world import make_world
 from tests.helpers.worlds import TOP, box, prism
 

@@ -25,10 +25,9 @@ from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.hollow import hollow_of
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.evaluation.measures.contacts import Contacts, contacts_of
-from cluttergen_jax.evaluation.measures.scene_models import SceneModel, SceneModels
-from cluttergen_jax.evaluation.measures.simulate import each_scene
 from cluttergen_jax.geometry import conjugate, rotate, transform_points
+from cluttergen_jax.judging.contacts import Contacts, contacts_of
+from cluttergen_jax.judging.scene_models import SceneModels, StandingModel, each_scene
 
 SURFACE_SHARE = 0.25
 MAX_VESSEL_TILT = float(np.radians(45.0))
@@ -147,7 +146,7 @@ def _inside(objects: Sequence[ObjectAsset], poses: np.ndarray, is_placed: np.nda
 
 
 def _covered_shares(
-    scene: SceneModel, objects: Sequence[ObjectAsset], poses: np.ndarray
+    scene: StandingModel, objects: Sequence[ObjectAsset], poses: np.ndarray
 ) -> np.ndarray:
     """f64[K, K + 1]: the share of i's surface points over which the next body straight above is j."""
     data = scene.start(poses)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -13,8 +13,8 @@ import numpy as np
 from cluttergen_jax.assets.obj import mesh_text
 from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.evaluation.measures import bullet_world
-from cluttergen_jax.evaluation.measures.scene_models import SceneModels
-from cluttergen_jax.evaluation.measures.simulate import Movement, each_scene, no_movement, watch
+from cluttergen_jax.judging.scene_models import Movement, SceneModels, each_scene, no_movement
+from cluttergen_jax.physics.standing import Advance
 from cluttergen_jax.scene.export.frames import friction_of, harmonic_of
 from cluttergen_jax.scene.export.sdf import HYDROELASTIC_MODULUS
 
@@ -28,7 +28,7 @@ MOST_SINKING = 0.005
 class Peer(Protocol):
     """Another engine that can be given a scene."""
 
-    def begin(self, objects: np.ndarray, poses: np.ndarray) -> Callable[[int], np.ndarray]:
+    def begin(self, objects: np.ndarray, poses: np.ndarray) -> Advance:
         """Puts objects i64[n] at rest at poses f64[n, 7], world, metres, wxyz; nothing else is there.
 
         Returns:
@@ -62,7 +62,7 @@ def movement_elsewhere(
     seconds: Sequence[float] = SURVIVAL_SECONDS,
     num_threads: int = 0,
 ) -> Movement:
-    """How far objects move in another engine; `Movement.survives` says which scenes stand (5 mm, 5 deg).
+    """How far objects move in another engine; `Movement.survives` says which scenes stand.
 
     What all objects of a scene sink together, their median and `MOST_SINKING` at most, is not counted.
 
@@ -91,16 +91,31 @@ def movement_elsewhere(
                 start = poses[scene, objects].copy()
                 start[:, 3:] /= np.linalg.norm(start[:, 3:], axis=1, keepdims=True)
                 step = peer.begin(objects, start)
-                shift, turn = watch(
-                    step, start, result.seconds, models.stability.timestep, MOST_SINKING
-                )
-                result.shift[scene][:, objects] = shift
-                result.turn[scene][:, objects] = turn
+                lifted = _without_sinking(step, start)
+                result.watch(scene, objects, lifted, start, models)
         finally:
             peer.close()
 
     each_scene(run, threads, threads)
     return result
+
+
+def _without_sinking(step: Advance, start: np.ndarray) -> Advance:
+    """The same simulation, its poses lifted by what most objects have sunk since `start`, f64[n, 7].
+
+    Engines with soft contacts let every layer of a heap sink by as much, which is no fall.
+    """
+
+    def advance(count: int) -> np.ndarray:
+        poses = step(count)
+        sinking = np.median(poses[:, 2] - start[:, 2]) if len(poses) else 0.0
+        if not np.isfinite(sinking):
+            return poses
+        lifted = poses.copy()
+        lifted[:, 2] += min(max(-sinking, 0.0), MOST_SINKING)
+        return lifted
+
+    return advance
 
 
 class BulletPeer:
@@ -117,7 +132,7 @@ class BulletPeer:
         self._files = tempfile.TemporaryDirectory()
         self._client: int | None = None
 
-    def begin(self, objects: np.ndarray, poses: np.ndarray) -> Callable[[int], np.ndarray]:
+    def begin(self, objects: np.ndarray, poses: np.ndarray) -> Advance:
         """See `Peer.begin`."""
         self._disconnect()
         bullet = self._bullet
@@ -192,7 +207,7 @@ class DrakePeer:
         self._models = models
         self._files = tempfile.TemporaryDirectory()
 
-    def begin(self, objects: np.ndarray, poses: np.ndarray) -> Callable[[int], np.ndarray]:
+    def begin(self, objects: np.ndarray, poses: np.ndarray) -> Advance:
         """See `Peer.begin`."""
         drake = self._drake
         models = self._models

@@ -12,7 +12,6 @@ from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.evaluation.cells import HEAD, SCENES, Column, number_column, request_columns
 from cluttergen_jax.evaluation.measures import diversity as measures
 from cluttergen_jax.evaluation.measures.acceptance import Bias, acceptance_bias
-from cluttergen_jax.evaluation.measures.arrangement import region_positions
 from cluttergen_jax.evaluation.plots import colour, grid_of_panels, label_of, save
 from cluttergen_jax.evaluation.rankings import by_question, ranking
 from cluttergen_jax.evaluation.records import Row
@@ -160,7 +159,7 @@ def _maps(shown: Sequence[tuple[str, Successes]], stem: Path) -> list[str]:
     figure, axes = grid_of_panels(len(shown) * len(names), len(names), 1.25, 1.6)
     panels = iter(axes)
     for method, scenes in shown:
-        positions = region_positions(scenes.poses[:_MAP_SCENES], scenes.region)
+        positions = measures.region_positions(scenes.poses[:_MAP_SCENES], scenes.region)
         for k, name in enumerate(names):
             axis = next(panels)
             here = scenes.is_placed[:_MAP_SCENES, k]

@@ -11,7 +11,6 @@ import numpy as np
 from cluttergen_jax.assets.pool import EMBEDDED
 from cluttergen_jax.evaluation.cells import Column, number, request_columns
 from cluttergen_jax.evaluation.measures.relations import Relation, count_relations, relations
-from cluttergen_jax.evaluation.measures.scene_models import SceneModels
 from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies.pictures import draw_scene, if_drawable, sheet
@@ -28,6 +27,7 @@ from cluttergen_jax.evaluation.studies.study import (
 )
 from cluttergen_jax.evaluation.studies.table1 import CLUTTERGEN, first_seed
 from cluttergen_jax.evaluation.trial import Trial
+from cluttergen_jax.judging.scene_models import SceneModels
 
 _EXAMPLES = 2
 """Scenes drawn of each relation."""

@@ -18,10 +18,6 @@ from cluttergen_jax.evaluation.cells import (
     request_columns,
     share_of,
 )
-from cluttergen_jax.evaluation.measures.robustness import (
-    RobustConfig,
-    robust,
-)
 from cluttergen_jax.evaluation.measures.survival import PEERS
 from cluttergen_jax.evaluation.rankings import share_notes
 from cluttergen_jax.evaluation.records import Row
@@ -38,6 +34,10 @@ from cluttergen_jax.evaluation.studies.study import (
     row_of,
 )
 from cluttergen_jax.evaluation.trial import ROBUST, Trial
+from cluttergen_jax.judging.robustness import (
+    RobustConfig,
+    robust,
+)
 from cluttergen_jax.statistics import proportion
 
 ROWS = tuple(

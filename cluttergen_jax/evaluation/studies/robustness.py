@@ -21,15 +21,6 @@ from cluttergen_jax.evaluation.cells import (
     share_of,
     table_of,
 )
-from cluttergen_jax.evaluation.measures.contacts import contacts_of
-from cluttergen_jax.evaluation.measures.robustness import (
-    TiltConfig,
-    shake,
-    survives,
-    tilt,
-)
-from cluttergen_jax.evaluation.measures.scene_models import SceneModels
-from cluttergen_jax.evaluation.measures.simulate import movement
 from cluttergen_jax.evaluation.measures.survival import PEERS, SURVIVAL_SECONDS, movement_elsewhere
 from cluttergen_jax.evaluation.rankings import share_notes
 from cluttergen_jax.evaluation.records import Result, Row
@@ -49,6 +40,14 @@ from cluttergen_jax.evaluation.studies.study import (
     row_of,
 )
 from cluttergen_jax.evaluation.trial import Trial
+from cluttergen_jax.judging.contacts import contacts_of
+from cluttergen_jax.judging.robustness import (
+    TiltConfig,
+    shake,
+    survives,
+    tilt,
+)
+from cluttergen_jax.judging.scene_models import SceneModels, movement
 from cluttergen_jax.placement.baselines import BASELINES
 from cluttergen_jax.placement.config import MIN_MARGIN
 from cluttergen_jax.statistics import finite, proportion

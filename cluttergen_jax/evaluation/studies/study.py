@@ -12,13 +12,13 @@ import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.evaluation.cells import Column, made_rows, table_of
-from cluttergen_jax.evaluation.measures.arrangement import by_object
 from cluttergen_jax.evaluation.rankings import Question
 from cluttergen_jax.evaluation.records import Result, Row
 from cluttergen_jax.evaluation.resolved import MissingRowError
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.studies.rules import margin_of
 from cluttergen_jax.evaluation.trial import Trial
+from cluttergen_jax.judging.scene_models import by_object
 from cluttergen_jax.placement.world import World
 from cluttergen_jax.tables import Table
 

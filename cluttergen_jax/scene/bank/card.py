@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pyarrow as pa
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.config import HAND, PILE
+from cluttergen_jax.config import HAND, PILE, StabilityConfig
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.record import READER, Bits, Recipe
@@ -28,6 +29,9 @@ from cluttergen_jax.types import Verdict, small_length
 
 CARD = "README.md"
 MARK = "<!-- written by cluttergen; remove this line to keep your own changes -->"
+
+_FAR = f"{1000 * StabilityConfig.stand_full_shift:g} mm"
+_MUCH = f"{math.degrees(StabilityConfig.stand_full_turn):g} degrees"
 
 _COLUMNS = {
     "index": "the scene's number; its random key is fold_in(key(seed), index)",
@@ -60,7 +64,7 @@ _COLUMNS = {
     "penetration": "after `certify`: metres, the deepest overlap of two bodies",
     "num_contacts": "after `certify`: contact points",
     "shake": "after `certify`: m/s^2, the sideways acceleration of the support, growing slowly, at which an "
-    "object has moved 5 mm; the smaller of both directions",
+    f"object has moved {_FAR}; the smaller of both directions",
     "shake_x": "after `certify`: m/s^2, along world x",
     "shake_y": "after `certify`: m/s^2, along world y",
     "rests_on": "after `certify`: pairs of object_index, who rests and on whom; -1 is the support",
@@ -69,13 +73,14 @@ _COLUMNS = {
     "margins": "after `certify`: slot by slot, each object's; null for what no contact carries from below",
     **{
         f"tilt_{angle}": f"after `certify`: of eight directions, the share in which gravity tilted by "
-        f"{angle} degrees moves nothing by 5 mm or 5 degrees within 2 s"
+        f"{angle} degrees moves nothing by {_FAR} or {_MUCH} within 2 s"
         for angle in (1, 2, 5)
     },
     "robust": "after `certify`: in soft contact (MuJoCo's default), with 0.7 times the friction and gravity "
-    "tilted by 3 degrees in each of four directions, nothing slides by 5 mm or turns by 5 degrees within 2 s",
+    f"tilted by 3 degrees in each of four directions, nothing slides by {_FAR} or turns by {_MUCH} within "
+    "2 s",
     "detectors": "after `certify`: with which of MuJoCo's detectors of convex collisions (native, libccd) "
-    "nothing moves by 5 mm or 5 degrees within the horizon; drift is the larger of both, the rest native's",
+    f"nothing moves by {_FAR} or {_MUCH} within the horizon; drift is the larger of both, the rest native's",
 } | {count_column(v): f"attempts that ended {v.label}: {v.sentence}" for v in COUNTED}
 
 

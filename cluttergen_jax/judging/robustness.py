@@ -8,20 +8,14 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
+from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.measures.scene_models import SceneModel, SceneModels
-from cluttergen_jax.evaluation.measures.simulate import (
-    MAX_SHIFT,
-    MAX_TURN,
-    each_scene,
-    movement,
-    shift_and_turn,
-)
+from cluttergen_jax.judging.scene_models import SceneModels, StandingModel, each_scene, movement
 from cluttergen_jax.physics.simulations import SOFT_SOLIMP, SOFT_SOLREF
+from cluttergen_jax.physics.standing import STRIDE, has_moved, stepper, watch
 
-# Steps between two looks at how far anything has moved.
-_LOOK_EVERY = 4
-_LOOK_EVERY_TILTED = 12
+_SHAKEN_STRIDE = 4
+"""Steps between two looks at what is shaken, and between two accelerations."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +23,8 @@ class ShakeConfig:
     """A sideways acceleration of the support that grows slowly from zero.
 
     Attributes:
-      rate: m/s^2 per second. What is let go by static friction takes a while for 5 mm, during which the
-        acceleration goes on growing: by (6 * 0.005 * rate^2)^(1/3), 0.31 m/s^2 at rate 1.
+      rate: m/s^2 per second. What is let go by static friction takes a while for `max_shift`, during which
+        the acceleration goes on growing: by (6 * max_shift * rate^2)^(1/3), 0.31 m/s^2 at rate 1.
       limit: m/s^2; a scene that nothing moved by then has this score.
       max_shift: metres that an object must move, relative to the support.
       directions: world directions in which the support is accelerated, a score for each.
@@ -38,7 +32,7 @@ class ShakeConfig:
 
     rate: float = 1.0
     limit: float = 10.0
-    max_shift: float = MAX_SHIFT
+    max_shift: float = StabilityConfig.stand_full_shift
     directions: tuple[tuple[float, float], ...] = ((1.0, 0.0), (0.0, 1.0))
 
     def __post_init__(self) -> None:
@@ -55,7 +49,7 @@ def shake(
     config: ShakeConfig | None = None,
     num_threads: int = 0,
 ) -> np.ndarray:
-    """The sideways acceleration at which something has moved 5 mm relative to the support.
+    """The sideways acceleration at which something has moved `max_shift` relative to the support.
 
     Simulated in the support's own frame, where an acceleration a of the support is a gravity of -a: the table
     stands still and gravity tilts.
@@ -79,25 +73,32 @@ def shake(
 
 
 def _withstood(
-    scene: SceneModel, poses: np.ndarray, direction: np.ndarray, config: ShakeConfig
+    scene: StandingModel, poses: np.ndarray, direction: np.ndarray, config: ShakeConfig
 ) -> float:
     """m/s^2 at which one scene gives way."""
     # Gravity belongs to the model, which other threads use at the same time.
     model = scene.own_model()
     data = scene.start(poses, model)
-    start = data.qpos.reshape(-1, 7).copy()
+    step = stepper(model, data)
     direction = direction / np.linalg.norm(direction)
-    growth = config.rate * _LOOK_EVERY * model.opt.timestep
-    for acceleration in growth * np.arange(1, np.ceil(config.limit / growth) + 1):
-        model.opt.gravity[:2] = -acceleration * direction
-        mujoco.mj_step(model, data, _LOOK_EVERY)
-        if shift_and_turn(data.qpos.reshape(-1, 7), start)[0].max(initial=0.0) > config.max_shift:
+    growth = config.rate * _SHAKEN_STRIDE * model.opt.timestep
+    accelerations = growth * np.arange(1, np.ceil(config.limit / growth) + 1)
+    grows = iter(accelerations)
+
+    def advance(count: int) -> np.ndarray:
+        model.opt.gravity[:2] = -next(grows) * direction
+        return step(count)
+
+    marks = _SHAKEN_STRIDE * np.arange(1, len(accelerations) + 1)
+    looks = watch(advance, data.qpos.reshape(-1, 7), marks.tolist(), _SHAKEN_STRIDE)
+    for acceleration, (shift, _) in zip(accelerations, looks, strict=True):
+        if shift.max(initial=0.0) > config.max_shift:
             return min(float(acceleration), config.limit)
     return config.limit
 
 
 @dataclass(frozen=True)
-class Change:
+class PhysicsChange:
     """Physics that differ from those in which a scene was made.
 
     Attributes:
@@ -117,18 +118,18 @@ class Change:
 
 
 PHYSICS_CHANGES = (
-    Change("unchanged"),
-    Change("friction x0.5", friction=0.5),
-    Change("friction x2", friction=2.0),
-    Change("mass x0.5", mass=0.5),
-    Change("mass x2", mass=2.0),
-    Change("mass x2 and x0.5 by turns", mixed_mass=2.0),
-    Change("time step x0.5", timestep=0.5),
-    Change("time step x2", timestep=2.0),
+    PhysicsChange("unchanged"),
+    PhysicsChange("friction x0.5", friction=0.5),
+    PhysicsChange("friction x2", friction=2.0),
+    PhysicsChange("mass x0.5", mass=0.5),
+    PhysicsChange("mass x2", mass=2.0),
+    PhysicsChange("mass x2 and x0.5 by turns", mixed_mass=2.0),
+    PhysicsChange("time step x0.5", timestep=0.5),
+    PhysicsChange("time step x2", timestep=2.0),
 )
 
 
-def change_physics(models: SceneModels, change: Change) -> SceneModels:
+def change_physics(models: SceneModels, change: PhysicsChange) -> SceneModels:
     """The same objects under other physics."""
     stability = models.stability
     contact = models.contact
@@ -149,11 +150,11 @@ def survives(
     models: SceneModels,
     poses: np.ndarray,
     is_placed: np.ndarray,
-    changes: Sequence[Change] = PHYSICS_CHANGES,
+    changes: Sequence[PhysicsChange] = PHYSICS_CHANGES,
     seconds: float = 10.0,
     num_threads: int = 0,
 ) -> dict[str, np.ndarray]:
-    """Which scenes stand under changed physics: nothing moves 5 mm or turns 5 degrees.
+    """Which scenes stand under changed physics (`physics.standing`).
 
     Args:
       poses: f[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].
@@ -207,8 +208,7 @@ def tilt(
 ) -> np.ndarray:
     """The share of directions in which a scene stands though gravity is tilted.
 
-    It stands if nothing moves over 5 mm or turns over 5 degrees. What stands at one angle is taken to
-    stand at every smaller one in the same direction.
+    What stands at one angle is taken to stand at every smaller one in the same direction.
 
     Args:
       poses: f[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].
@@ -229,7 +229,7 @@ def tilt(
     return np.array(shares, np.float64).reshape(len(is_placed), len(config.degrees))
 
 
-def _stands(scene: SceneModel, poses: np.ndarray, turn: float, config: TiltConfig) -> np.ndarray:
+def _stands(scene: StandingModel, poses: np.ndarray, turn: float, config: TiltConfig) -> np.ndarray:
     """bool[A]: at which angles one scene stands, gravity tilted towards one direction."""
     result = np.ones(len(config.degrees), bool)
     for place in reversed(range(len(config.degrees))):
@@ -244,29 +244,32 @@ def _stands(scene: SceneModel, poses: np.ndarray, turn: float, config: TiltConfi
 
 
 def _stays(
-    scene: SceneModel,
+    scene: StandingModel,
     model: mujoco.MjModel,
     poses: np.ndarray,
     down: np.ndarray,
     seconds: float,
     num_axes: int,
 ) -> bool:
-    """Whether nothing moves over 5 mm, along the first so many world axes, or turns over 5 degrees.
+    """Whether nothing moves too far, along the first so many world axes, or turns too much.
 
     Args:
       model: the scene's own; its gravity is turned towards `down`, a unit vector.
     """
     model.opt.gravity[:] = down * np.linalg.norm(model.opt.gravity)
     data = scene.start(poses, model)
+    step = stepper(model, data)
     start = data.qpos.reshape(-1, 7).copy()
-    for _ in range(round(seconds / model.opt.timestep / _LOOK_EVERY_TILTED)):
-        mujoco.mj_step(model, data, _LOOK_EVERY_TILTED)
-        now = data.qpos.reshape(-1, 7).copy()
+
+    def advance(count: int) -> np.ndarray:
+        now = step(count).copy()
         now[:, num_axes:3] = start[:, num_axes:3]
-        shift, turned = shift_and_turn(now, start)
-        if shift.max(initial=0.0) > MAX_SHIFT or turned.max(initial=0.0) > MAX_TURN:
-            return False
-    return True
+        return now
+
+    num_looks = round(seconds / model.opt.timestep / STRIDE)
+    limits = StabilityConfig()
+    looks = watch(advance, start, range(STRIDE, STRIDE * num_looks + 1, STRIDE))
+    return not any(has_moved(shift, turn, limits).any() for shift, turn in looks)
 
 
 @dataclass(frozen=True)
@@ -298,9 +301,9 @@ def robust(
 ) -> np.ndarray:
     """Which scenes stand, everything awake, under tilted gravity with less friction and softer contact.
 
-    A scene is robust if nothing moves over 5 mm in plan or turns over 5 degrees, from where it was saved, in
-    any direction. In plan, since in soft contact everything sinks by a little, which is no fall: what falls
-    also turns or goes sideways.
+    A scene is robust if nothing moves too far in plan or turns too much (`physics.standing`), from where it
+    was saved, in any direction. In plan, since in soft contact everything sinks by a little, which is no
+    fall: what falls also turns or goes sideways.
 
     Args:
       poses: f[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].

@@ -19,19 +19,18 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.cluster import Cluster, each_on
 from cluttergen_jax.config import DETECTORS, ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.evaluation.measures.arrangement import by_object
-from cluttergen_jax.evaluation.measures.contacts import contacts_of
-from cluttergen_jax.evaluation.measures.robustness import (
+from cluttergen_jax.files import writing
+from cluttergen_jax.judging.contacts import contacts_of
+from cluttergen_jax.judging.robustness import (
     ShakeConfig,
     TiltConfig,
     robust,
     shake,
     tilt,
 )
-from cluttergen_jax.evaluation.measures.scene_models import SceneModels
-from cluttergen_jax.evaluation.measures.simulate import each_scene, horizons_of, movement
-from cluttergen_jax.files import writing
+from cluttergen_jax.judging.scene_models import SceneModels, by_object, each_scene, movement
 from cluttergen_jax.kept_folder import hold_folder
+from cluttergen_jax.physics.standing import horizons_of
 from cluttergen_jax.placement.world import base_name, make_world
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene.bank.bank import Bank, read_bank
@@ -278,7 +277,7 @@ def certificates(
         residual_angular_speed: rad/s, likewise.
         drift, drift_turn: metres and radians, the most that anything was from its start within the horizon,
           with either of MuJoCo's detectors of convex collisions.
-        detectors: those with which nothing moved by 5 mm or 5 degrees; all else is measured with native's.
+        detectors: those with which it stands (`physics.standing`); all else is measured with native's.
         drift_seconds: the horizon.
         penetration: metres, the deepest overlap of two bodies.
         num_contacts: contact points.

@@ -1,8 +1,11 @@
-"""What the judge found: rows, a table, files and a picture of the worst scene."""
+"""Anybody's scenes judged one after another: rows, a table, a picture of the worst."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import os
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,9 +19,20 @@ import pyarrow.parquet as pq
 
 from cluttergen_jax.assets.mjcf import VISUAL_GROUP
 from cluttergen_jax.config import DETECTORS, Detector
-from cluttergen_jax.evaluation.judging.rule import FALL, JudgeConfig, Judgement
-from cluttergen_jax.evaluation.judging.scene_files import read_model
+from cluttergen_jax.errors import AssetError, ClutterGenError
 from cluttergen_jax.files import file_whole
+from cluttergen_jax.judging.rule import (
+    FAULTS,
+    FreeBodies,
+    JudgeConfig,
+    Judgement,
+    find_free_bodies,
+    judge_start,
+    length_in_mm,
+)
+from cluttergen_jax.judging.scene_files import find_scenes, read_model, read_starts
+from cluttergen_jax.physics.log import silent_log
+from cluttergen_jax.progress import Progress
 from cluttergen_jax.rendering.camera import drawn_points
 from cluttergen_jax.rendering.gl import renderer_status
 from cluttergen_jax.rendering.picture import contact_sheet, render_model, save_png
@@ -28,6 +42,8 @@ from cluttergen_jax.tables import aligned_table
 _SHOWN = 12
 _RED = (0.86, 0.10, 0.12, 1.0)
 _GROUPS_SEEN = 3
+
+_Task = tuple[Path, str, Detector, mujoco.MjModel, mujoco.MjData, FreeBodies]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,26 +59,18 @@ class JudgedStart:
         found = self.found
         name = f"{self.file.name}:{self.start}" if self.start else self.file.name
         far = int(found.shift[-1].argmax())
-        deep = int(found.penetration.argmax())
         parts = []
         if number := int((~found.is_still[-1]).sum()):
-            moved = f"{_mm(found.shift[-1, far])} and {np.degrees(found.turn[-1, far]):.0f} deg"
+            moved = f"{length_in_mm(found.shift[-1, far])} and {np.degrees(found.turn[-1, far]):.0f} deg"
             parts.append(f"{number} of {len(found.names)} moved, {found.names[far]} by {moved}")
-        if found.is_deep.any():
-            parts.append(
-                f"{found.names[deep]} is {_mm(found.penetration[deep])} deep in {found.against[deep]}"
-            )
-        for what, flags in (("floats", found.floats), ("falls", found.falls)):
-            if flags.any():
-                more = f" and {flags.sum() - 1} more" if flags.sum() > 1 else ""
-                parts.append(f"{found.names[int(flags.argmax())]} {what}{more}")
+        parts += [each.describe(found) for each in FAULTS if getattr(found, each.column).any()]
         return f"{name}, {self.detector}: {'; '.join(filter(None, (*parts, found.note)))}"
 
     @property
     def badness(self) -> tuple[int, float, int]:
         """How many bodies moved, the farthest by how much, and how many other faults there are."""
         found = self.found
-        others = found.is_deep.sum() + found.floats.sum() + found.falls.sum()
+        others = sum(getattr(found, each.column).sum() for each in FAULTS)
         return int((~found.is_still[-1]).sum()), float(found.shift[-1].max()), int(others)
 
 
@@ -96,7 +104,7 @@ class JudgeReport:
             **{f"is_still_{each}": pa.bool_() for each in horizons},
             **{f"{name}_{each}": pa.float64() for each in horizons for name in ("shift", "turn")},
             **{"penetration": pa.float64(), "against": pa.string()},
-            **dict.fromkeys(("is_deep", "floats", "falls"), pa.bool_()),
+            **dict.fromkeys((each.column for each in FAULTS), pa.bool_()),
             **dict.fromkeys(("note", "error", "mujoco"), pa.string()),
         }
         rows = [row for each in self.starts for row in self._rows_of(each, horizons)]
@@ -115,10 +123,8 @@ class JudgeReport:
                 "body": body,
             }
             row |= {"note": found.note, "against": found.against[place]}
-            row |= {
-                f: getattr(found, f)[place].item()
-                for f in ("penetration", "is_deep", "floats", "falls")
-            }
+            row["penetration"] = found.penetration[place].item()
+            row |= {each.column: getattr(found, each.column)[place].item() for each in FAULTS}
             for name in ("is_still", "shift", "turn"):
                 values = getattr(found, name)[:, place].tolist()
                 row |= {
@@ -141,9 +147,10 @@ class JudgeReport:
                 f"still {seconds:g} s": share([each.is_still[place] for each in found], np.all)
                 for place, seconds in enumerate(self.config.seconds)
             },
-            "overlap": share([each.is_deep for each in found], np.any),
-            "float": share([each.floats for each in found], np.any),
-            "fall": share([each.falls for each in found], np.any),
+            **{
+                fault.title: share([getattr(each, fault.column) for each in found], np.any)
+                for fault in FAULTS
+            },
         }
 
     def __str__(self) -> str:
@@ -159,12 +166,16 @@ class JudgeReport:
                     )
         if cells:
             still = (f"still {seconds:g} s" for seconds in config.seconds)
-            lines.append(aligned_table(["", "number", *still, "overlap", "float", "fall"], cells))
+            titles = (fault.title for fault in FAULTS)
+            lines.append(aligned_table(["", "number", *still, *titles], cells))
+        meanings = [
+            f"still: never more than {1000 * config.max_shift:g} mm or {config.max_turn_deg:g} deg from the "
+            "start",
+            *(f"{fault.title}: {fault.meaning(config)}" for fault in FAULTS),
+        ]
         lines.append(
-            f"MuJoCo {self.mujoco}, from rest, everything awake, each file's own options; still: never more "
-            f"than {1000 * config.max_shift:g} mm or {config.max_turn_deg:g} deg from the start; overlap: "
-            f"deeper than {1000 * config.max_penetration:g} mm at the start; float: nothing carries it at "
-            f"the start; fall: more than {1000 * FALL:g} mm lower at the end"
+            f"MuJoCo {self.mujoco}, from rest, everything awake, each file's own options; "
+            + "; ".join(meanings)
         )
         cannot = [f"{path} cannot be judged: {reason}" for path, reason in self.unread.items()]
         return "\n".join(
@@ -198,10 +209,6 @@ class JudgeReport:
         )
 
 
-def _mm(metres: float) -> str:
-    return f"{1000 * metres:,.1f} mm"
-
-
 def _shorten(lines: list[str]) -> list[str]:
     return lines[:_SHOWN] + [f"and {len(lines) - _SHOWN} more"] * (len(lines) > _SHOWN)
 
@@ -233,3 +240,71 @@ def draw(each: JudgedStart, path: Path) -> Path:
     images = [render_model(model, qpos, focus=focus, samples=8) for qpos in ends]
     captions = [f"{each.file.name} {each.start}: start", "end"][: len(images)]
     return save_png(contact_sheet(images, captions, columns=2), path)
+
+
+def judge_scenes(
+    paths: Sequence[str | Path],
+    states: str | Path | np.ndarray | None,
+    config: JudgeConfig,
+    detectors: Sequence[Detector],
+    max_starts: int,
+    jobs: int,
+) -> JudgeReport:
+    """See `cluttergen_jax.judge`."""
+    files, num_others = find_scenes(paths)
+    unread: dict[Path, str] = {}
+    changed: dict[Path, tuple[str, ...]] = {}
+    left_out = Counter[str]()
+    threads = jobs or os.cpu_count() or 1
+    # MuJoCo keeps meshes that it has read, and takes a file of the same second for the one that it knows.
+    mujoco.mj_clearCache(mujoco.mj_getCache())
+
+    def tasks() -> Iterator[_Task]:
+        for path in files:
+            try:
+                model, of_file = read_model(path)
+                bodies = find_free_bodies(model)
+                changed[path] = (*of_file, *bodies.notes)
+                left_out.update(f"free bodies are not judged: {why}" for why in bodies.left_out)
+                if not len(bodies.ids):
+                    why = "; ".join(
+                        f"free bodies are not judged: {each}"
+                        for each in dict.fromkeys(bodies.left_out)
+                    )
+                    raise AssetError(f"no body in it moves freely{f' ({why})' if why else ''}")
+                config.check_steps(model)
+                starts, num_more = read_starts(model, path, states, max_starts)
+                left_out[f"starts are not judged: at most {max_starts} of a file"] += num_more
+                for name, data in starts:
+                    yield from ((path, name, each, model, data, bodies) for each in detectors)
+            except ClutterGenError as error:
+                unread[path] = str(error)
+            progress.update()
+
+    def run(task: _Task) -> JudgedStart:
+        path, name, detector, model, data, bodies = task
+        return JudgedStart(path, name, detector, judge_start(model, data, detector, bodies, config))
+
+    pool = ThreadPoolExecutor(threads)
+    with silent_log(), Progress("judging", len(files), "file") as progress:
+        started: list[Future[JudgedStart]] = []
+        try:
+            for task in tasks():
+                started.append(pool.submit(run, task))
+                # As many wait as run, so that no more models are loaded than are needed.
+                while len(waiting := [each for each in started if not each.done()]) > 2 * threads:
+                    wait(waiting, return_when=FIRST_COMPLETED)
+                progress.note(f"{len(started) - len(waiting)} simulations done")
+            judged = tuple(each.result() for each in started)
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+    left_out["XML files are no scenes: parts of others, or of another kind"] = num_others
+    notes = [f"{number} {what}" for what, number in left_out.items() if number]
+    files_of: dict[str, list[str]] = {}
+    for path, of_file in changed.items():
+        for note in of_file:
+            files_of.setdefault(note, []).append(path.name)
+    for note, names in files_of.items():
+        more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+        notes.append(f"{names[0]}{more}: {note}")
+    return JudgeReport(config, judged, unread, tuple(notes))

@@ -6,19 +6,21 @@ Simulated from rest, everything awake, with the file's own options; nothing is r
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
-from cluttergen_jax.config import Detector, check_positive
+from cluttergen_jax.config import Detector, StabilityConfig, VerifyConfig, check_positive
 from cluttergen_jax.errors import AssetError, ConfigError
-from cluttergen_jax.evaluation.measures.simulate import horizons_of, shift_and_turn
 from cluttergen_jax.geometry import rotate
 from cluttergen_jax.importing.readers.mjcf_geoms import geom_mesh, geom_rgba, is_convex, is_plane
 from cluttergen_jax.importing.readers.model import convex_parts
 from cluttergen_jax.physics.margin import MIN_LIFT
-from cluttergen_jax.physics.simulations import disabled_flags
+from cluttergen_jax.physics.standing import has_moved, horizons_of, keep_awake, watch
 from cluttergen_jax.progress import stop_asked
 
 GAP = 0.001
@@ -47,14 +49,19 @@ class JudgeConfig:
     """What the judge asks; see `cluttergen_jax.judge`."""
 
     seconds: tuple[float, ...] = (1.0, 10.0, 60.0)
-    max_shift: float = 0.005
-    max_turn_deg: float = 5.0
+    max_shift: float = VerifyConfig.max_shift
+    max_turn_deg: float = VerifyConfig.max_turn_deg
     max_penetration: float = 0.001
     hold_joints: bool = False
 
     def __post_init__(self) -> None:
         check_positive(self, "max_shift", "max_turn_deg", "max_penetration")
         horizons_of(self.seconds)
+
+    @property
+    def limits(self) -> StabilityConfig:
+        """What counts as still, as `physics.standing` takes it."""
+        return StabilityConfig.standing_within(self.max_shift, self.max_turn_deg)
 
     def check_steps(self, model: mujoco.MjModel) -> None:
         """Refuses a model that cannot be stepped, or would take forever (ConfigError)."""
@@ -93,12 +100,10 @@ class Judgement:
       shift, turn: f64[H, B], the farthest that each was from its start up to each horizon, metres and
         radians; of a body with joints the farthest of its links; infinite where the simulation diverged or
         stopped.
+      is_still: bool[H, B], it is within the limits.
       penetration: f64[B], metres, the deepest overlap at the start, whether or not contacts are filtered;
         against: with what, "" if with nothing.
-      floats: bool[B]: at the start no chain of bodies at most 1 mm apart leads to anything that is not
-        judged; or nothing within 1 mm presses it upwards, and it sinks by more than 1 mm within 0.05 s.
-      falls: bool[B]: at the last horizon it is more than 5 cm below its start.
-      is_still: bool[H, B], it is within the limits; is_deep: bool[B], it overlaps by more than is allowed.
+      is_deep, floats, falls: bool[B], see `FAULTS`.
       begin, end: f64[nq], the positions before and after.
       note: what went wrong in the simulation, "" if nothing did.
     """
@@ -106,15 +111,73 @@ class Judgement:
     names: tuple[str, ...]
     shift: np.ndarray
     turn: np.ndarray
+    is_still: np.ndarray
     penetration: np.ndarray
     against: tuple[str, ...]
+    is_deep: np.ndarray
     floats: np.ndarray
     falls: np.ndarray
-    is_still: np.ndarray
-    is_deep: np.ndarray
     begin: np.ndarray
     end: np.ndarray
     note: str
+
+
+class Fault(NamedTuple):
+    """A verdict on a body besides its motion.
+
+    Attributes:
+      column: its name in rows, and that of its flags in `Judgement`; title: in tables.
+      meaning: what it means, in words, with these settings.
+      describe: what is said of a start in which some body has it.
+    """
+
+    column: str
+    title: str
+    meaning: Callable[[JudgeConfig], str]
+    describe: Callable[[Judgement], str]
+
+
+def _describe_overlap(found: Judgement) -> str:
+    deep = int(found.penetration.argmax())
+    depth = length_in_mm(found.penetration[deep])
+    return f"{found.names[deep]} is {depth} deep in {found.against[deep]}"
+
+
+def _describe_bodies(found: Judgement, column: str) -> str:
+    """The first body with a fault that is a verb, and how many more there are."""
+    flags = getattr(found, column)
+    more = f" and {flags.sum() - 1} more" if flags.sum() > 1 else ""
+    return f"{found.names[int(flags.argmax())]} {column}{more}"
+
+
+def length_in_mm(metres: float) -> str:
+    """A length for a reader."""
+    return f"{1000 * metres:,.1f} mm"
+
+
+FAULTS = (
+    Fault(
+        "is_deep",
+        "overlap",
+        lambda config: f"deeper than {1000 * config.max_penetration:g} mm at the start",
+        _describe_overlap,
+    ),
+    # At the start no chain of bodies at most 1 mm apart leads to anything that is not judged; or nothing
+    # within 1 mm presses it upwards, and it sinks by more than 1 mm within 0.05 s.
+    Fault(
+        "floats",
+        "float",
+        lambda _: "nothing carries it at the start",
+        partial(_describe_bodies, column="floats"),
+    ),
+    Fault(
+        "falls",
+        "fall",
+        lambda _: f"more than {1000 * FALL:g} mm lower at the end",
+        partial(_describe_bodies, column="falls"),
+    ),
+)
+"""One more verdict is one more here, with its flags in `Judgement`: rows, table and sentences follow."""
 
 
 def find_free_bodies(model: mujoco.MjModel) -> FreeBodies:
@@ -205,10 +268,7 @@ def judge_start(
     """
     model = copy.copy(model)
     data = copy.copy(start)
-    model.opt.disableflags = disabled_flags(model, detector)
-    model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
-    # A diverging scene must be seen, not put back to where it started.
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    keep_awake(model, detector)
     data.qvel[:] = 0
     number = len(bodies.ids)
     note = ""
@@ -220,10 +280,10 @@ def judge_start(
     try:
         mujoco.mj_forward(model, data)
         depth, against, is_complete = _overlaps(model, data, bodies)
-        is_chained, is_lifted = _carried(model, data, bodies)
+        is_connected, is_pressed_up = _find_supports(model, data, bodies)
         motion = _Motion(model, data, bodies, config.hold_joints)
         shift, turn = motion.run(config.seconds)
-        floats = ~is_chained | (~is_lifted & (motion.sunk > GAP))
+        floats = ~is_connected | (~is_pressed_up & (motion.sunk > GAP))
         falls = motion.sinking() > FALL
         note = motion.note
         if not note and (data.warning.number[_FULL].any() or not is_complete):
@@ -234,12 +294,12 @@ def judge_start(
         names=bodies.names,
         shift=shift,
         turn=turn,
+        is_still=~has_moved(shift, turn, config.limits),
         penetration=depth,
         against=against,
+        is_deep=depth > config.max_penetration,
         floats=floats,
         falls=falls,
-        is_still=(shift <= config.max_shift) & (turn <= np.radians(config.max_turn_deg)),
-        is_deep=depth > config.max_penetration,
         begin=start.qpos.copy(),
         end=data.qpos.copy(),
         note=note,
@@ -342,10 +402,15 @@ def _open_contacts(
     return _pairs(model, data, bodies)[:2]
 
 
-def _carried(
+def _find_supports(
     model: mujoco.MjModel, data: mujoco.MjData, bodies: FreeBodies
 ) -> tuple[np.ndarray, np.ndarray]:
-    """bool[B] each: a chain of bodies that touch leads to what is not judged; something lies below."""
+    """What carries each body, as bodies that are at most `GAP` apart touch.
+
+    Returns:
+      is_connected, bool[B]: a chain of contacts leads to a body that is not judged (floor, table); and
+      is_pressed_up, bool[B]: some contact presses it upwards.
+    """
     margins = model.geom_margin.copy()
     model.geom_margin[:] = np.maximum(margins, GAP)
     mujoco.mj_collision(model, data)
@@ -354,12 +419,13 @@ def _carried(
     owner = owner[distance <= GAP]
     lift = lift[distance <= GAP]
     # The last entry is all that is not judged, which -1 means as well.
-    chained, lifted = np.zeros((2, len(bodies.ids) + 1), bool)
-    chained[-1] = True
-    while (reached := chained[owner].any(1)[:, None] & ~chained[owner]).any():
-        chained[owner[reached]] = True
-    lifted[owner[lift >= MIN_LIFT, 1]] = lifted[owner[lift <= -MIN_LIFT, 0]] = True
-    return chained[:-1], lifted[:-1]
+    is_connected, is_pressed_up = np.zeros((2, len(bodies.ids) + 1), bool)
+    is_connected[-1] = True
+    while (reached := is_connected[owner].any(1)[:, None] & ~is_connected[owner]).any():
+        is_connected[owner[reached]] = True
+    is_pressed_up[owner[lift >= MIN_LIFT, 1]] = True
+    is_pressed_up[owner[lift <= -MIN_LIFT, 0]] = True
+    return is_connected[:-1], is_pressed_up[:-1]
 
 
 class _Motion:
@@ -381,24 +447,25 @@ class _Motion:
         self._center = np.einsum(
             "bji,bj->bi", axes, data.subtree_com[bodies.ids] - data.xpos[bodies.ids]
         )
-        self._start = self.poses()
-        self._qpos = data.qpos.copy()
         self.sunk = np.zeros(len(bodies.ids))
+        self._at_once = round(AT_ONCE / model.opt.timestep)
+        self._done = 0
         # Links that move against the body that they hang on, and whose they are.
         place = np.full(model.nbody, -1)
         place[bodies.ids] = np.arange(len(bodies.ids))
         is_link = (place[model.body_rootid] >= 0) & (model.body_jntnum > 0) & (place < 0)
         self._links = np.flatnonzero(is_link)
-        self._links_start = self._link_poses()
         self._owner = place[model.body_rootid[self._links]]
         # Positions and velocities of joints that are held.
+        self._qpos = data.qpos.copy()
         self._is_held = np.full(model.nq, holds)
         self._is_stopped = np.full(model.nv, holds)
         for joint in np.flatnonzero(model.jnt_type == _FREE):
             self._is_held[model.jnt_qposadr[joint] + np.arange(7)] = False
             self._is_stopped[model.jnt_dofadr[joint] + np.arange(6)] = False
+        self._start = self._poses()
 
-    def poses(self) -> np.ndarray:
+    def _body_poses(self) -> np.ndarray:
         """f64[B, 7]: where each body's centre of mass is, and its orientation."""
         pose = self._data.qpos[self._address[:, None] + np.arange(7)]
         with np.errstate(invalid="ignore"):
@@ -406,53 +473,56 @@ class _Motion:
             pose[:, :3] += rotate(np, pose[:, 3:], self._center)
         return pose
 
-    def _link_poses(self) -> np.ndarray:
-        """f64[L, 7]: where the centres of mass of all links are, and their orientations."""
-        return np.c_[self._data.xipos[self._links], self._data.xquat[self._links]]
-
-    def _moved(self) -> np.ndarray:
-        """f64[2, B], metres and radians from the start; of a body with links the farthest of them."""
-        moved = np.array(shift_and_turn(self.poses(), self._start))
-        if len(self._links):
-            mujoco.mj_kinematics(self._model, self._data)
-            links = shift_and_turn(self._link_poses(), self._links_start)
-            for farthest, each in zip(moved, links, strict=True):
-                np.maximum.at(farthest, self._owner, each)
-        return moved
+    def _poses(self) -> np.ndarray:
+        """f64[B + L, 7]: of the bodies, and of all links, their centres of mass and orientations."""
+        links = np.c_[self._data.xipos[self._links], self._data.xquat[self._links]]
+        return np.concatenate([self._body_poses(), links])
 
     def sinking(self) -> np.ndarray:
         """f64[B], metres by which each body has sunk along gravity since the start; 0 where it diverged."""
-        return np.nan_to_num((self.poses()[:, :3] - self._start[:, :3]) @ _down(self._model))
+        start = self._start[: len(self.sunk), :3]
+        return np.nan_to_num((self._body_poses()[:, :3] - start) @ _down(self._model))
 
     def run(self, seconds: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
         """f64[H, B] metres and radians: the farthest up to each horizon, infinite where it diverged."""
-        farthest = np.zeros((2, len(self._start)))
-        reached = []
         step = self._model.opt.timestep
-        done = 0
-        stride = max(round(_LOOK / step), 1)
-        at_once = round(AT_ONCE / step)
-        for until in (round(each / step) for each in seconds):
-            while done < until and not self.note:
-                if stop_asked.is_set():
-                    raise KeyboardInterrupt
-                number = min(stride, until - done, at_once - done if done < at_once else stride)
-                self._advance(number)
-                done += number
-                farthest = np.maximum(farthest, self._moved())
-                if done == at_once:
-                    self.sunk = self.sinking()
-            # Where it diverges nothing is known of anything any more.
-            reached.append(np.full_like(farthest, np.inf) if self.note else farthest)
-        shift, turn = np.stack(reached, axis=1)
+        ends = [round(each / step) for each in seconds]
+        # Looked at when it is asked what has sunk, too.
+        marks = sorted({*ends, min(self._at_once, ends[-1])})
+        looks = watch(self._advance, self._start, marks, max(round(_LOOK / step), 1))
+        farthest = dict(zip(marks, looks, strict=True))
+        shift, turn = np.stack([self._of_bodies(*farthest[end]) for end in ends], axis=1)
         return shift, turn
 
-    def _advance(self, number: int) -> None:
+    def _of_bodies(self, shift: np.ndarray, turn: np.ndarray) -> np.ndarray:
+        """f64[2, B] of f64[B + L] each: of a body with links the farthest of them."""
+        number = len(self.sunk)
+        farthest = np.stack([shift[:number], turn[:number]])
+        np.maximum.at(farthest[0], self._owner, shift[number:])
+        np.maximum.at(farthest[1], self._owner, turn[number:])
+        return farthest
+
+    def _advance(self, count: int) -> np.ndarray:
+        """So many steps, and the poses after them: NaN where it diverged, as nothing is known any more."""
+        if stop_asked.is_set():
+            raise KeyboardInterrupt
+        if not self.note:
+            self._step(count)
+            self._done += count
+            if self._done == self._at_once:
+                self.sunk = self.sinking()
+        if self.note:
+            return np.full_like(self._start, np.nan)
+        if len(self._links):
+            mujoco.mj_kinematics(self._model, self._data)
+        return self._poses()
+
+    def _step(self, count: int) -> None:
         model = self._model
         data = self._data
         is_any_held = self._is_held.any()
-        for _ in range(number if is_any_held else 1):
-            mujoco.mj_step(model, data, 1 if is_any_held else number)
+        for _ in range(count if is_any_held else 1):
+            mujoco.mj_step(model, data, 1 if is_any_held else count)
             data.qpos[self._is_held] = self._qpos[self._is_held]
             data.qvel[self._is_stopped] = 0.0
         if not np.isfinite(data.qpos).all():

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from cluttergen_jax.evaluation.measures.scene_models import SceneModel, SceneModels
-from cluttergen_jax.evaluation.measures.simulate import each_scene
+from cluttergen_jax.judging.scene_models import SceneModels, StandingModel, each_scene
 from cluttergen_jax.physics.margin import margins_of
 
 BORNE_SHARE = 0.1
@@ -99,13 +98,13 @@ def contacts_of(
     return result
 
 
-def _margins(scene: SceneModel, data: mujoco.MjData) -> np.ndarray:
+def _margins(scene: StandingModel, data: mujoco.MjData) -> np.ndarray:
     """f64[n]: the support margin of each object of one scene."""
     return margins_of(scene.layout, data, np.arange(len(scene.objects)))
 
 
 def _add_forces(
-    scene: SceneModel, data: mujoco.MjData, force: np.ndarray, normal: np.ndarray
+    scene: StandingModel, data: mujoco.MjData, force: np.ndarray, normal: np.ndarray
 ) -> None:
     """Adds the contacts of one scene to f64[K, K + 1, 3]."""
     # The world's index of a model's geom; the last one is the support, and the floor.

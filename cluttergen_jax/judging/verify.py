@@ -16,12 +16,11 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.cluster import Cluster, each_on
-from cluttergen_jax.config import DETECTORS, Detector, VerifyConfig, check_workers
+from cluttergen_jax.config import DETECTORS, VerifyConfig, check_workers
 from cluttergen_jax.errors import BankError, UnsafePathError
 from cluttergen_jax.files import check_utf8, inside, write_atomically
-from cluttergen_jax.geometry import turn_between
 from cluttergen_jax.physics.log import silent_log
-from cluttergen_jax.physics.simulations import disabled_flags
+from cluttergen_jax.physics.standing import StandingCheck, check_standing
 from cluttergen_jax.progress import track
 from cluttergen_jax.scene.bank.bank import read_bank
 from cluttergen_jax.scene.bank.digests import Change, changes_of, changes_to_scene, without_digests
@@ -29,7 +28,6 @@ from cluttergen_jax.scene.bank.record import AGAIN, INDEX
 from cluttergen_jax.scene.bank.remote import fetch_scenes
 from cluttergen_jax.types import small_length
 
-_STRIDE = 12
 _SHORTEST_STEP = 1e-4
 _LONGEST_STEP = 0.05
 _GIVEN = "the folder of a bank with files, or one MJCF file"
@@ -38,32 +36,17 @@ _SHOWN = 20
 _OURS = "files written by `cluttergen generate`"
 
 
-@dataclass(frozen=True, eq=False)
-class Verification:
-    """How a saved scene behaved.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Verification(StandingCheck):
+    """How a saved scene behaved, by the detector of MuJoCo's two with which it moved the most.
 
     Attributes:
       path: the file.
-      objects: names of its free bodies.
-      shift: f64[N], the farthest each was from its start, metres.
-      turn: f64[N], the most each had turned, radians.
-      stands: all of them stayed within the limits.
-      detector: of MuJoCo's two detectors of convex collisions, the one with which they moved the most.
       fault: why it could not be simulated, in words; there are no objects then.
     """
 
     path: Path
-    objects: tuple[str, ...]
-    shift: np.ndarray
-    turn: np.ndarray
-    stands: bool
-    detector: Detector = "native"
     fault: str = ""
-
-    @property
-    def worst(self) -> str:
-        """The object that moved the most."""
-        return self.objects[int(np.argmax(self.shift))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +210,11 @@ def _verify_or_report(path: Path, config: VerifyConfig) -> Verification:
         if not (path.parent.parent / INDEX).is_file():
             raise
         return Verification(
-            path, (), np.zeros(0), np.zeros(0), False, fault=error.given.removeprefix(f"{path}: ")
+            path=path,
+            shift=np.zeros(0),
+            turn=np.zeros(0),
+            stands=False,
+            fault=error.given.removeprefix(f"{path}: "),
         )
 
 
@@ -246,10 +233,14 @@ def verify_scene(path: str | Path, config: VerifyConfig | None = None) -> Verifi
     try:
         with silent_log():
             model, key = _load_model(path)
-            found = [verify_model(path, model, key, config, detector) for detector in DETECTORS]
+            found = [
+                check_standing(model, key, config.seconds, config.limits, detector)
+                for detector in DETECTORS
+            ]
     except mujoco.FatalError as error:
         raise BankError(f"{path} cannot be simulated: {error}", _OURS) from error
-    return max(found, key=lambda each: (not each.stands, float(each.shift.max())))
+    worst = max(found, key=lambda each: (not each.stands, float(each.shift.max())))
+    return Verification(path=path, **vars(worst))
 
 
 def _check_links(path: Path, bank: Path) -> None:
@@ -292,37 +283,6 @@ def _load_model(path: Path) -> tuple[mujoco.MjModel, int]:
         allowed = f"{_SHORTEST_STEP} to {_LONGEST_STEP} s"
         raise BankError(f"{path}: its time step is {model.opt.timestep:g} s", allowed)
     return model, key
-
-
-def verify_model(
-    path: Path, model: mujoco.MjModel, key: int, config: VerifyConfig, detector: Detector = "native"
-) -> Verification:
-    """As `verify_scene` with one detector, of a loaded model, from its keyframe of this number.
-
-    The model is changed.
-    """
-    model.opt.disableflags = disabled_flags(model, detector)
-    model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
-    # A diverging scene must be seen, not put back to where it started.
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, key)
-    data.qvel[:] = 0
-    start = data.qpos.reshape(-1, 7).copy()
-    shift = np.zeros(len(start))
-    turn = np.zeros(len(start))
-    whole, rest = divmod(round(config.seconds / model.opt.timestep), _STRIDE)
-    # In strides after each of which the scene is looked at.
-    for num_steps in [_STRIDE] * whole + [rest] * (rest > 0):
-        mujoco.mj_step(model, data, num_steps)
-        poses = data.qpos.reshape(-1, 7)
-        shift = np.maximum(shift, np.linalg.norm(poses[:, :3] - start[:, :3], axis=1))
-        turn = np.maximum(turn, turn_between(np, poses[:, 3:], start[:, 3:]))
-    names = tuple(model.body(int(body)).name for body in model.jnt_bodyid)
-    stands = bool(
-        (shift <= config.max_shift).all() and (turn <= np.radians(config.max_turn_deg)).all()
-    )
-    return Verification(path, names, shift, turn, stands, detector)
 
 
 def scene_files(path: str | Path) -> list[Path]:
