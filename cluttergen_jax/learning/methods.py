@@ -13,10 +13,10 @@ from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpo
 from cluttergen_jax.learning.policies.embedded import find_policy, list_policies
 from cluttergen_jax.learning.policies.guided import KIND, load_guided
 from cluttergen_jax.learning.policies.policy import load_policy
-from cluttergen_jax.placement.baselines import BASELINES, make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.packed import Packed
-from cluttergen_jax.placement.piles import PileSampler
+from cluttergen_jax.placement.methods.baselines import BASELINES, make_proposer
+from cluttergen_jax.placement.methods.packed import Packed
+from cluttergen_jax.placement.methods.piles import PileSampler
 from cluttergen_jax.placement.problem import Setup
 from cluttergen_jax.placement.region import KeepOut
 from cluttergen_jax.placement.rollout import BlockSampler

@@ -49,8 +49,8 @@ from cluttergen_jax.evaluation.studies.study import (
     row_of,
 )
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.placement.baselines import BASELINES
 from cluttergen_jax.placement.config import MIN_MARGIN
+from cluttergen_jax.placement.methods.baselines import BASELINES
 from cluttergen_jax.statistics import finite, proportion
 from cluttergen_jax.tables import Table
 from cluttergen_jax.types import Verdict
