@@ -29,11 +29,7 @@ Method = Literal[
     "open_loop",
     "short_memory",
 ]
-METHODS: tuple[Method, ...] = get_args(Method)
-TRUSTED_METHODS = ("spread", "guided")
-"""Those that ask what carries what, and that take objects away when they are stuck unless told otherwise."""
-GEOMETRIC_METHODS = ("random", "clear", "drop", *TRUSTED_METHODS)
-"""Those that see no clouds: objects may be released in any pose."""
+"""What is known of each stands in `placement.methods.table`."""
 # Ways to clutter that are no rivals of the others and stand in no table: objects shoulder to shoulder; and
 # all objects of a scene let fall into a heap, which the native engine makes whole.
 PACKED = "packed"
@@ -49,7 +45,6 @@ REPAIR = "repair"
 """That of banks of repaired layouts."""
 UNPROPOSED = (HAND, REPAIR)
 Variant = Literal["guided", "policy", "beta", "beta_free", "normal", "open_loop", "short_memory"]
-VARIANTS: tuple[Variant, ...] = get_args(Variant)
 """`guided` is no policy: its network learns by supervision what will stand, for every pool.
 
 `policy` is the full method with the preset's head (a mixture; in the paper's presets its Beta a coordinate);
@@ -151,7 +146,7 @@ def check_whole(**numbers: object) -> None:
             raise ConfigError(f"{name} = {value!r}", "a whole number")
 
 
-def check_names(names: Sequence[str], argument: str) -> None:
+def check_names(names: Sequence[object], argument: str) -> None:
     """Refuses a single name, whose letters would be taken for names."""
     if isinstance(names, str):
         raise ConfigError(

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Unpack
 
 from cluttergen_jax.config import (
     DETECTORS,
-    PILE,
     Change,
     Detector,
     Method,
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.evaluation.comparison import Comparison
     from cluttergen_jax.evaluation.judging.report import JudgeReport
     from cluttergen_jax.scene.bank import Bank
+    from cluttergen_jax.spec import OwnProposer
 
 _TRIALS = 1000
 _SUPPORTS = ("table",)
@@ -40,7 +40,7 @@ _SUPPORTS = ("table",)
 @with_kept_programs
 @takes_spec(EvaluateOptions, num_objects=10)
 def evaluate(
-    methods: Sequence[Method] = (),
+    methods: Sequence[Method | OwnProposer | str] = (),
     pools: Sequence[str] = (),
     supports: Sequence[str] = _SUPPORTS,
     spec: SceneSpec | None = None,
@@ -62,9 +62,9 @@ def evaluate(
 
     Args:
       methods: "random", "clear", "drop", "spread", "guided", and policies trained for the pool: "policy",
-        "beta_free", "normal", "open_loop", "short_memory", or "beta", of which none is embedded. If not
-        given: the first five, and "policy" where one is embedded. Of a suite, the rows that are made; all
-        if not given.
+        "beta_free", "normal", "open_loop", "short_memory", or "beta", of which none is embedded; or your own,
+        as the `method` of a `SceneSpec`. If not given: the first five, and "policy" where one is embedded. Of
+        a suite, the rows that are made; all if not given.
       pools: names or folders, or several joined by +; dining if not given, and what each study asks for in a
         suite.
       supports: names or folders; "table-0.40x0.50" is a cuboid of that size, all of it the queried region.
@@ -105,6 +105,7 @@ def evaluate(
     from cluttergen_jax.evaluation.studies.study import grid
     from cluttergen_jax.evaluation.trial import Trial
     from cluttergen_jax.learning.methods import methods_of
+    from cluttergen_jax.placement.methods.table import entry_of, find_method
 
     place = cluster_of(cluster, workers)
     check_folder(out)
@@ -120,11 +121,12 @@ def evaluate(
         supports = (str(asked.support),)
     if not methods and asked.method is not None:
         methods = (asked.method,)
-    if PILE in methods:
+    chosen = tuple(find_method(each) for each in methods)
+    if whole := [each for each in chosen if entry_of(each).is_whole]:
         raise ConfigError(
-            f"method {PILE!r}, which places no objects that could be counted one by one",
+            f"method {whole[0]!r}, which places no objects that could be counted one by one",
             "methods that place one object after another",
-            f"generate(method={PILE!r}), which tells how many scenes succeed",
+            f"generate(method={whole[0]!r}), which tells how many scenes succeed",
         )
     base = Trial(
         num_objects=10 if asked.num_objects is None else asked.num_objects,
@@ -142,7 +144,7 @@ def evaluate(
             base,
             pool=(join_pool_names(pool, asked.exclude),),
             support=supports,
-            method=methods or methods_of(str(pool)),
+            method=chosen or methods_of(str(pool)),
         )
     ]
     if asked.height != "rest" and all(trial.method != "random" for trial in planned):

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.pool import public_name
-from cluttergen_jax.config import TRUSTED_METHODS
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.methods.table import entry_of
 from cluttergen_jax.placement.region import find_change
 
 MAX_TRIALS = 1_000_000
@@ -31,7 +31,7 @@ class Trial:
 
     Attributes:
       pool, support: names or folders.
-      method: a name of `learning.methods.METHODS`.
+      method: a name of `placement.methods.table.METHODS`, or a user's own (`OwnMethod`).
       num_objects: objects per scene; attempts: per object.
       trials: scenes.
       seed: of the scenes; training_seed: of the checkpoint, for learned methods.
@@ -127,7 +127,7 @@ class Trial:
     @property
     def row_name(self) -> str:
         """What tables call its row: its method, and what sets its rules apart from that method's own."""
-        is_trusted = self.method in TRUSTED_METHODS
+        is_trusted = entry_of(self.method).is_trusted
         is_ruined = self.ruin_after > 0
         own, other = ("weighted", "random") if is_trusted else ("random", "weighted")
         if is_ruined != is_trusted and self.order == other:

@@ -50,7 +50,7 @@ from cluttergen_jax.evaluation.studies.study import (
 )
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.placement.config import MIN_MARGIN
-from cluttergen_jax.placement.methods.baselines import BASELINES
+from cluttergen_jax.placement.methods.table import BASELINES
 from cluttergen_jax.statistics import finite, proportion
 from cluttergen_jax.tables import Table
 from cluttergen_jax.types import Verdict

@@ -16,7 +16,7 @@ from cluttergen_jax.errors import BankError
 from cluttergen_jax.learning.methods import Method, choose_method, sampler_of
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.methods.baselines import BASELINES
+from cluttergen_jax.placement.methods.table import BASELINES
 from cluttergen_jax.placement.problem import ProblemConfig, Setup, Standing, make_setup
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.placement.rollout.record import Recorder

@@ -217,7 +217,9 @@ def _recipe_section(recipe: Recipe, bits: list[Bits]) -> str:
         "attempts per scene": placement.get("budget") or "so many for each object",
         "failed attempts after which objects are taken away": placement.get("ruin_after")
         or "none are",
-        "method": recipe.get("method"),
+        "method": f"{recipe['method']}, a user's own, digest {recipe['method_digest']}"
+        if "method_digest" in recipe
+        else recipe.get("method"),
         "checkpoint": recipe.get("checkpoint_hash") or "none",
         "seed": recipe.get("seed"),
         "engine": recipe.get("engine"),
