@@ -31,6 +31,8 @@ from cluttergen_jax.config import (
     check_whole,
     check_workers,
     no_such,
+    stability_of,
+    stability_text,
 )
 from cluttergen_jax.errors import ConfigError, closest, range_text
 from cluttergen_jax.placement.clutter import Clutter
@@ -92,6 +94,7 @@ class EnvOptions(TrainOptions, total=False):
     budget: int | None
     min_margin: float | None
     robust: bool
+    stability: str | Mapping[str, float | str] | StabilityConfig | None
     for_engine: OtherEngine | None
     setting: Setting
     overhang: Overhang
@@ -144,6 +147,7 @@ class EvaluateOptions(TypedDict, total=False):
     budget: int | None
     min_margin: float | None
     setting: Setting
+    stability: str | Mapping[str, float | str] | StabilityConfig | None
     height: Height
     poses: Poses
     checkpoint: str | Path | None
@@ -193,6 +197,9 @@ class SceneSpec:
         0 asks for nothing. If not given: 0.003.
       robust: require that an object, and whatever it touches, is also stable while gravity is tilted by 5
         degrees, friction is 0.7 times as much and contacts are softer; native engine only.
+      stability: other limits of what counts as stable, "shift=0.002,turn=2deg": how far an object that stands
+        may move in later attempts, in the last check and in `verify`; or names and numbers of a
+        `StabilityConfig`, of which paper and docs/contract.md tell. In Python also a mapping or that config.
       for_engine: an engine other than MuJoCo in which scenes shall stand too: "drake", "pybullet", "isaac". A
         larger `min_margin` is asked for, unless one is given.
       setting: default preset of the rules that are not given: "default", or "paper": a random order, nothing
@@ -254,6 +261,7 @@ class SceneSpec:
     budget: int | None = None
     min_margin: float | None = None
     robust: bool = False
+    stability: str | Mapping[str, float | str] | StabilityConfig | None = None
     for_engine: OtherEngine | None = None
     setting: Setting = "default"
     overhang: Overhang = "any"
@@ -311,6 +319,9 @@ class SceneSpec:
         check_names(self.relations, "relations")
         if self.method is not None:
             object.__setattr__(self, "method", find_method(self.method))
+        if self.stability is not None:
+            text = stability_text(stability_of(self.stability))
+            object.__setattr__(self, "stability", text or None)
         if self.start is not None and (self.relations or self.roles):
             given = "`relations` with a scene to start from"
             raise ConfigError(given, "one or the other", "leaving out `start`")
@@ -361,6 +372,7 @@ class SceneSpec:
             budget=rules.get("budget"),
             min_margin=rules.get("min_margin", 0.0),
             robust=bool(stability.get("robust_tilt")),
+            stability=_recorded_stability(stability, rules),
             setting="paper" if is_native and not stability.get("both_detectors") else "default",
             overhang=rules.get("overhang", cls.overhang),
             clutter=rules.get("clutter"),
@@ -577,10 +589,9 @@ class SceneSpec:
                 polygon, region = parse_polygon(region, support)
             else:
                 region = parse_region(region, support.region)
-        stability = StabilityConfig(robust_tilt=ROBUST_TILT if self.robust else 0.0)
-        if self.poses == "any":
-            # What is let go in any orientation falls over, and rolls, before it comes to rest.
-            stability = replace(stability, settle_steps=stability.max_steps - stability.quiet_steps)
+        limits = StabilityConfig() if self.stability is None else stability_of(self.stability)
+        stability = replace(limits, robust_tilt=ROBUST_TILT if self.robust else 0.0)
+        stability = _for_poses(stability, self.poses)
         placement = self.with_rules(method)._placement(num_objects)
         if entry.limits_stack:
             stacked = placement.clutter.stack if placement.clutter is not None else None
@@ -653,6 +664,23 @@ def _recorded_method(recipe: Mapping[str, Any]) -> str | None:
     if digest := recipe.get("method_digest"):
         return OwnMethod(recipe["method"], digest)
     return None if recipe["method"] in UNPROPOSED else recipe["method"]
+
+
+def _recorded_stability(record: Mapping[str, Any], rules: Mapping[str, Any]) -> str | None:
+    """The limits of a bank where they are not the usual ones."""
+    usual = StabilityConfig()
+    known = {each.name for each in dataclasses.fields(usual)}
+    found = StabilityConfig(**{name: value for name, value in record.items() if name in known})
+    if found == _for_poses(replace(found, settle_steps=usual.settle_steps), rules.get("poses")):
+        found = replace(found, settle_steps=usual.settle_steps)
+    return stability_text(found) or None
+
+
+def _for_poses(stability: StabilityConfig, poses: str | None) -> StabilityConfig:
+    """What is let go in any orientation falls over, and rolls, before it comes to rest."""
+    if poses != "any" or stability.settle_steps != StabilityConfig.settle_steps:
+        return stability
+    return replace(stability, settle_steps=stability.max_steps - stability.quiet_steps)
 
 
 def _recorded_region(recipe: Mapping[str, Any]) -> Rectangle | str:

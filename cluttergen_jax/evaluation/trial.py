@@ -50,6 +50,7 @@ class Trial:
       tidy: take the best of the poses that are trusted, as `--tidy` does.
       height: at which `random` lets go, "rest" or "free" (`PlacementConfig`).
       poses: in which objects are released, "upright", "resting" or "any".
+      stability: limits of "stable" that are not the usual ones (`config.stability_text`); "" if all are.
       order, ruin_after, budget: of a `PlacementConfig`; the paper's unless given.
     """
 
@@ -76,6 +77,7 @@ class Trial:
     tidy: bool = False
     height: str = "rest"
     poses: str = "upright"
+    stability: str = ""
 
     def __post_init__(self) -> None:
         if not 1 <= self.trials <= MAX_TRIALS:
@@ -143,6 +145,7 @@ class Trial:
         words = [name for name, is_asked in named.items() if is_asked] + [self.clutter] * bool(
             self.clutter
         )
+        words += [self.stability] if self.stability else []
         return words + ([f"{self.poses} poses"] if self.poses != "upright" else [])
 
     @property

@@ -33,6 +33,7 @@ def with_rules_of(trial: Trial, spec: SceneSpec) -> Trial:
         min_margin=decided.min_margin or 0.0,
         height=spec.height if trial.method == "random" else "rest",
         poses=spec.poses,
+        stability=str(spec.stability or ""),
     )
 
 

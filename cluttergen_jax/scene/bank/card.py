@@ -11,6 +11,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import HAND, PILE
+from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.record import READER, Bits, Recipe
@@ -116,7 +117,7 @@ def card_text(bank: Bank, stats: BankStats) -> str:
         _figures(stats),
         _files(bank.path, BY_HAND if bank.recipe.get("method") == HAND else ()),
         _recipe_section(bank.recipe, bank.record.get("bits", [])),
-        _stability(bank.recipe),
+        _stability(bank),
         assets_section(assets, bank.support),
     ]
     return "\n\n".join(sections) + "\n"
@@ -248,7 +249,8 @@ def _recipe_section(recipe: Recipe, bits: list[Bits]) -> str:
     )
 
 
-def _stability(recipe: Recipe) -> str:
+def _stability(bank: Bank) -> str:
+    recipe = bank.recipe
     limits = {
         **recipe.get("stability", {}),
         **{f"contact {k}": v for k, v in recipe.get("contact", {}).items()},
@@ -263,9 +265,19 @@ def _stability(recipe: Recipe) -> str:
         "",
         ", ".join(f"{name} = {value}" for name, value in limits.items()) + ".",
         "",
+        *_other_limits(bank),
         f"Verdicts: {'; '.join(f'{v.label}: {v.sentence}' for v in Verdict if v >= 0)}.",
     ]
     return "\n".join(lines)
+
+
+def _other_limits(bank: Bank) -> list[str]:
+    """What its scenes were asked to be stable by, where those are not the usual limits."""
+    try:
+        asked = bank.spec.stability
+    except BankError:
+        return []
+    return [f"Asked for, in place of the usual limits: {asked}.", ""] if asked else []
 
 
 def assets_section(assets: Sequence[ObjectAsset], support: SupportAsset) -> str:
