@@ -452,11 +452,27 @@ def _limit(name: str, value: object) -> float:
 def stability_text(config: StabilityConfig) -> str:
     """The limits that are not the usual ones, as `stability_of` reads them; "" if all are."""
     usual = asdict(StabilityConfig())
-    return ",".join(
-        f"{name}={value + 0!r}"
-        for name, value in asdict(config).items()
-        if value != usual[name] and name not in _DECIDED
-    )
+    given = asdict(config)
+    changed = {name: value for name, value in given.items() if value != usual[name]}
+    words = []
+    for name, places in _STAYS_PUT.items():
+        limit = given[places[0]]
+        alike = (limit, min(limit, usual[places[1]]), limit)
+        if changed.keys() & {*places} and tuple(given[place] for place in places) == alike:
+            words.append(f"{name}={_written(name, limit)}")
+            for place in places:
+                changed.pop(place, None)
+    words += [
+        f"{name}={_written(name, value)}" for name, value in changed.items() if name not in _DECIDED
+    ]
+    return ",".join(words)
+
+
+def _written(name: str, value: float) -> str:
+    """A limit as text that is read as the same number, angles in degrees where they can be."""
+    degrees = f"{math.degrees(value):.6g}deg"
+    is_angle = "turn" in name or "angular" in name
+    return degrees if is_angle and _limit(name, degrees) == value else repr(value + 0)
 
 
 @dataclass(frozen=True)

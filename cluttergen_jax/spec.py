@@ -98,6 +98,8 @@ class EnvOptions(TrainOptions, total=False):
     for_engine: OtherEngine | None
     setting: Setting
     overhang: Overhang
+    method: Method | OwnProposer | str | None
+    checkpoint: str | Path | None
     num_threads: int
 
 
@@ -107,8 +109,6 @@ class SceneOptions(EnvOptions, total=False):
     shelf: int | None
     weights: str | Mapping[str, float]
     balance: Balance
-    method: Method | OwnProposer | str | None
-    checkpoint: str | Path | None
     clutter: str | Mapping[str, float] | None
     natural: bool
     tidy: bool
@@ -231,7 +231,7 @@ class SceneSpec:
         embedded; "packed": upright, side by side, on others only as many as `clutter` allows by stack; or
         "pile": all objects fall into a heap, in any orientation, as in a bin. Or your own, as FILE.py:name
         or module:name; in Python also a function of key and episode that gives an action, or one of the
-        rules that gives such a function (docs/guide/own_method.md). If not given: the checkpoint's own, else
+        rules that gives such a function (examples/17_own_method.py). If not given: the checkpoint's own, else
         "guided" ("spread" where no checkpoint of it is embedded).
       checkpoint: the policy's folder; the embedded one for the pool if not given.
       engine: "auto", "native", "warp" or "jax".
@@ -383,7 +383,7 @@ class SceneSpec:
             relations=tuple(rules.get("relations", ())),
             roles=dict(rules.get("roles", ())),
             clearance=rules.get("clearance"),
-            method=_recorded_method(recipe),
+            method=recorded_method(recipe),
             checkpoint=recipe.get("checkpoint"),
             engine=recipe["engine"],
         )
@@ -659,7 +659,7 @@ class SceneSpec:
         )
 
 
-def _recorded_method(recipe: Mapping[str, Any]) -> str | None:
+def recorded_method(recipe: Mapping[str, Any]) -> str | None:
     """The method of a bank; of a user's own its name and digest, None if people made it."""
     if digest := recipe.get("method_digest"):
         return OwnMethod(recipe["method"], digest)

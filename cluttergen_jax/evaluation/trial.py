@@ -124,7 +124,8 @@ class Trial:
 
     def record(self) -> dict[str, Any]:
         """Its fields for results that others read."""
-        return asdict(self) | {"pool": self.pool_name, "support": self.support_name}
+        plain = {"pool": self.pool_name, "support": self.support_name, "method": str(self.method)}
+        return asdict(self) | plain
 
     @property
     def row_name(self) -> str:

@@ -27,6 +27,7 @@ from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.record import Recipe
 from cluttergen_jax.scene.bank.reference import read_start
 from cluttergen_jax.scene.bank.scene import config_of
+from cluttergen_jax.spec import recorded_method
 
 COMPILING = "compiling where it was not compiled before, which takes about a minute"
 
@@ -80,13 +81,14 @@ def replay_context_of(bank: Bank) -> ReplayContext:
     setup = shelves_of(bank) if bank.recipe.get("shelf") else setup_of(bank)
     recipe = bank.recipe
     try:
-        method = recipe["method"]
+        method = recorded_method(recipe)
         pool = recipe["pool"]
         checkpoint = recipe.get("checkpoint")
     except KeyError as error:
         raise _not_recorded(bank, error) from error
-    trained = None if method in UNPROPOSED else choose_method(method, pool, checkpoint).checkpoint
-    return ReplayContext(setup, {} if trained is None else {method: trained})
+    trained = None if method is None else choose_method(method, pool, checkpoint).checkpoint
+    known = {} if method is None or trained is None else {method: trained}
+    return ReplayContext(setup, known)
 
 
 def setup_of(bank: Bank, **changes: Any) -> Setup:
@@ -170,7 +172,8 @@ def replay(
             "the scene itself",
         )
     width = int(recipe.get("block_size", BLOCK_SIZE))
-    method = recipe["method"]
+    method = recorded_method(recipe)
+    assert method is not None
     seed = int(recipe["seed"])
     recording = context.record(method, seed, index, stored.title, width, num_proposals)
     if not _equal(recording, stored):

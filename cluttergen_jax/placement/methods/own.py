@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import inspect
 import re
@@ -11,8 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cluttergen_jax.errors import ConfigError, closest
-from cluttergen_jax.own_parts import part_digest, part_name
-from cluttergen_jax.schema import digest_of
 
 if TYPE_CHECKING:
     from cluttergen_jax.placement.rules import Proposer, Rules
@@ -54,6 +53,8 @@ class OwnMethod(str):
         Raises:
           ConfigError: there is none, it has no name, or nothing tells it from others.
         """
+        from cluttergen_jax.own_parts import part_digest, part_name
+
         place = ""
         part: Any = given
         if isinstance(given, str):
@@ -162,6 +163,8 @@ def _can_take(signature: inspect.Signature, number: int) -> bool:
 
 def _restore(name: str, digest: str, given: Any) -> OwnMethod:
     """A pickled method, if it still is what it was."""
+    from cluttergen_jax.own_parts import part_digest
+
     if given is None:
         return OwnMethod(name, digest)
     place = given if isinstance(given, str) else ""
@@ -222,7 +225,7 @@ def _module_in(file: Path) -> Any:
     """The module in a file, run once as long as the file stays as it is."""
     if not file.is_file():
         raise FileNotFoundError(f"there is no file {file}")
-    name = f"own_method:{file}:{digest_of(file.read_bytes())}"
+    name = f"own_method:{file}:{hashlib.sha256(file.read_bytes()).hexdigest()}"
     if name in sys.modules:
         return sys.modules[name]
     spec = importlib.util.spec_from_file_location(name, file)

@@ -7,7 +7,7 @@ for type checkers.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -116,6 +116,8 @@ METHODS: dict[str, MethodEntry] = {
     "short_memory": MethodEntry("a policy that looks back on one failed attempt"),
 }
 
+_OWN = MethodEntry("a user's own", "methods.own:OwnMethod", takes=("poses",))
+
 TRUSTED = tuple(name for name, each in METHODS.items() if each.is_trusted)
 BASELINES = tuple(name for name, each in METHODS.items() if each.is_baseline)
 LEARNED = tuple(name for name, each in METHODS.items() if each.needs_checkpoint)
@@ -152,13 +154,14 @@ def find_method(given: Any, what: str = "method") -> str:
 def entry_of(method: str | None) -> MethodEntry:
     """What is known of a method; None is whoever acts in an environment.
 
-    An own method takes `poses`, and the fields of a `SceneSpec` that its attribute `takes` names.
+    An own method takes `poses`, and the fields of a `SceneSpec` that its attribute `takes` names. A name of
+    which nothing is known, as of a stored row, was one.
     """
     if method is None:
         return MethodEntry()
     if isinstance(method, OwnMethod):
-        return MethodEntry(made_by="methods.own:OwnMethod", takes=("poses", *method.takes))
-    return METHODS[method]
+        return replace(_OWN, takes=("poses", *method.takes))
+    return METHODS.get(method, _OWN)
 
 
 def make_proposer(method: str, rules: Rules) -> Proposer:
