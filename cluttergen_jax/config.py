@@ -372,12 +372,12 @@ def stability_of(given: object) -> StabilityConfig:
     pairs: list[tuple[str, object]] = []
     if isinstance(given, str):
         for part in filter(None, (each.strip() for each in given.split(","))):
-            name, equals, value = part.partition("=")
+            named, equals, text = part.partition("=")
             if not equals:
                 raise ConfigError(
                     f"stability {part!r}", "NAME=VALUE, with commas between", _STABILITY_EXAMPLE
                 )
-            pairs.append((name.strip(), value.strip()))
+            pairs.append((named.strip(), text.strip()))
     elif isinstance(given, Mapping):
         pairs = list(given.items())
     if not pairs:

@@ -105,7 +105,7 @@ def evaluate(
     from cluttergen_jax.evaluation.studies.study import grid
     from cluttergen_jax.evaluation.trial import Trial
     from cluttergen_jax.learning.methods import methods_of
-    from cluttergen_jax.placement.methods.table import entry_of, find_method
+    from cluttergen_jax.placement.methods.table import entry_of, find_method, takers
 
     place = cluster_of(cluster, workers)
     check_folder(out)
@@ -147,9 +147,11 @@ def evaluate(
             method=chosen or methods_of(str(pool)),
         )
     ]
-    if asked.height != "rest" and all(trial.method != "random" for trial in planned):
+    free = takers("height")
+    if asked.height != "rest" and all(trial.height == "rest" for trial in planned):
         raise ConfigError(
-            f"height = {asked.height!r} without a row of 'random'", hint="methods=('random',)"
+            f"height = {asked.height!r} without a row of {free[0]!r}",
+            hint=f"methods={free}",
         )
     for trial in planned:
         asked.check_poses(trial.method)

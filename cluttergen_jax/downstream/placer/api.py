@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from cluttergen_jax.config import (
     MAX_PAIRS,
-    PILE,
     Method,
     PlacerHead,
     PlacerLoss,
@@ -25,6 +24,7 @@ from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.files import check_folder
 from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.numerics import with_own_settings
+from cluttergen_jax.placement.methods.table import entry_of
 from cluttergen_jax.spec import SceneSpec
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ def placer_data(
             raise BankError(
                 f"{bank} has no digests of its assets: an older version made it", hint=AGAIN
             )
-        if found.recipe.get("method") == PILE:
+        if entry_of(found.recipe.get("method")).is_whole:
             hint = "generate --method guided"
             raise BankError(
                 f"{found.path} holds piles", "scenes placed one object after another", hint

@@ -11,12 +11,12 @@ import numpy as np
 
 from cluttergen_jax.assets.pool import StoredObjects, find_pool
 from cluttergen_jax.assets.support import Rectangle, recorded_rectangle, recorded_ring
-from cluttergen_jax.config import PILE, UNPROPOSED, ContactConfig, StabilityConfig
+from cluttergen_jax.config import UNPROPOSED, ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.learning.methods import Method, choose_method, sampler_of
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.methods.table import BASELINES
+from cluttergen_jax.placement.methods.table import BASELINES, entry_of
 from cluttergen_jax.placement.problem import ProblemConfig, Setup, Standing, make_setup
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.placement.rollout.record import Recorder
@@ -159,7 +159,7 @@ def replay(
         machine, changed assets.
     """
     recipe = bank.recipe
-    if recipe["method"] == PILE:
+    if entry_of(recipe["method"]).is_whole:
         raise BankError(
             f"{stored.title} is a pile, in which all objects fall together",
             "attempts of scenes that are placed object by object",
@@ -201,7 +201,7 @@ def _problem_config(bank: Bank, recipe: Recipe) -> ProblemConfig:
         balance=recipe.get("balance", ""),
         region=recorded_rectangle(recipe["region"]),
         polygon=recorded_ring(recipe.get("polygon", ())),
-        is_piled=recipe.get("method") == PILE,
+        is_piled=entry_of(recipe.get("method")).is_whole,
         engine=recipe.get("engine", "auto"),
         placement=config_of(PlacementConfig, recipe["placement"], bank.path),
         stability=config_of(StabilityConfig, recipe["stability"], bank.path),

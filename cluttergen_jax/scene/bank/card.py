@@ -10,9 +10,10 @@ import pyarrow as pa
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.config import HAND, PILE
+from cluttergen_jax.config import HAND
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
+from cluttergen_jax.placement.methods.table import entry_of
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.record import READER, Bits, Recipe
 from cluttergen_jax.scene.bank.stats import BankStats, stats_of
@@ -145,7 +146,7 @@ def front_matter(licences: Sequence[str], tags: Sequence[str], title: str, data_
 
 def _about(bank: Bank, stats: BankStats) -> str:
     how = "placed one after another on a support until all lie still together"
-    if bank.recipe.get("method") == PILE:
+    if entry_of(bank.recipe.get("method")).is_whole:
         how = "let fall into a heap until all lie still together"
     return (
         f"# {bank.path.resolve().name}\n\n"
