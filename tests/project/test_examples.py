@@ -60,7 +60,7 @@ SMALLER = {
     "11_perception": {"num_objects = 8": "num_objects = 3"},
     "17_own_method": {
         "num_scenes, num_objects = 8, 10": "num_scenes, num_objects = 4, 3",
-        ', scenes="0-5", picture=False, sheet=True, columns=3)': ', scenes="0", picture=False)',
+        'scenes="0-5"': 'scenes="0"',
     },
     "13_breakfast_for_two": {
         "num_scenes = 16": "num_scenes = 4",

@@ -7,7 +7,7 @@ import math
 import os
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -28,6 +28,7 @@ from cluttergen_jax.scene.bank.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.digests import Change, changes_of, changes_to_scene, without_digests
 from cluttergen_jax.scene.bank.record import AGAIN, INDEX
 from cluttergen_jax.scene.bank.remote import fetch_scenes
+from cluttergen_jax.scene.bank.scene import config_of
 from cluttergen_jax.types import small_length
 
 _STRIDE = 12
@@ -214,17 +215,22 @@ def verify_files(
 def _limits_of(path: Path, bank: Bank | None, check: VerifyConfig) -> VerifyConfig:
     """The check with the limits that a bank, or a scene file's bank, was asked for in place of usual ones."""
     if bank is None and (path.parent.parent / INDEX).is_file():
-        bank = read_bank(path.parent.parent)
+        with suppress(BankError):
+            bank = read_bank(path.parent.parent)
     if bank is None:
         return check
-    asked = bank.recipe.get("stability", {})
     usual = StabilityConfig()
-    shift = asked.get("stand_full_shift", usual.stand_full_shift)
-    turn = asked.get("stand_full_turn", usual.stand_full_turn)
-    if check.max_shift == VerifyConfig.max_shift and shift != usual.stand_full_shift:
-        check = replace(check, max_shift=shift)
-    if check.max_turn_deg == VerifyConfig.max_turn_deg and turn != usual.stand_full_turn:
-        check = replace(check, max_turn_deg=math.degrees(turn))
+    asked = config_of(StabilityConfig, bank.recipe.get("stability", {}), bank.path)
+    if (
+        check.max_shift == VerifyConfig.max_shift
+        and asked.stand_full_shift != usual.stand_full_shift
+    ):
+        check = replace(check, max_shift=asked.stand_full_shift)
+    if (
+        check.max_turn_deg == VerifyConfig.max_turn_deg
+        and asked.stand_full_turn != usual.stand_full_turn
+    ):
+        check = replace(check, max_turn_deg=math.degrees(asked.stand_full_turn))
     return check
 
 
