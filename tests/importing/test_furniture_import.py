@@ -6,7 +6,6 @@ import trimesh
 
 from cluttergen_jax import import_support
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
-from cluttergen_jax.assets.modeller.furniture import SUPPORTS, make_support
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.assets.support_file import find_support
@@ -19,6 +18,7 @@ from cluttergen_jax.importing.readers.source import turn_of
 from cluttergen_jax.importing.run import import_sources
 from cluttergen_jax.importing.support_space import Column, air_over, without_air
 from cluttergen_jax.importing.supports import support_with_notes
+from scenes.furniture import SUPPORTS, make_support
 from tests.helpers.cases import CASES
 
 pytestmark = pytest.mark.usefixtures("home")

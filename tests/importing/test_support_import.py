@@ -8,11 +8,11 @@ from shapely.ops import unary_union
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller.bins import SIZES
-from cluttergen_jax.assets.modeller.furniture import SUPPORTS, make_support
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.assets.support_map import cover, largest_rectangle
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.supports import support_from_mesh
+from scenes.furniture import SUPPORTS, make_support
 
 # Of a container on a table the table is found.
 FURNITURE = [

@@ -170,6 +170,8 @@ def check_whole(path: Path) -> None:
 def unreadable(path: Path, error: Exception) -> AssetError:
     """What to raise where a parser failed with `error`; a parser's slip says nothing to a user."""
     reason = _obj_fault(path) if path.suffix.lower() == ".obj" else ""
+    if str(error) == "PLY is unexpected length!":
+        return ply_of_polygons(path)
     if not reason:
         is_slip = isinstance(
             error, LookupError | AttributeError | TypeError | NameError | AssertionError
@@ -178,6 +180,15 @@ def unreadable(path: Path, error: Exception) -> AssetError:
         said = re.sub(r"^(\w+Error: )+", "", " ".join(str(error).split())).rstrip(".!")
         reason = slip if is_slip else said or slip
     return AssetError(f"{path} cannot be read as a mesh: {reason}", "a whole file", _AGAIN)
+
+
+def ply_of_polygons(path: Path) -> AssetError:
+    """What to raise of a binary PLY file that does not hold what equal faces would take."""
+    return AssetError(
+        f"{path} cannot be read as a mesh: it is cut short, or its faces differ in their number of corners",
+        "a whole file; in a binary one all faces have as many corners",
+        "exporting it again with triangulated faces, or as text",
+    )
 
 
 def _check_obj(path: Path) -> None:

@@ -18,11 +18,16 @@ from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.collada import collada_notes, collada_polygons, unit_of
 from cluttergen_jax.importing.readers.colours import coloured_by_vertices
-from cluttergen_jax.importing.readers.damage import check_whole, sound_stl, unreadable
+from cluttergen_jax.importing.readers.damage import (
+    check_whole,
+    ply_of_polygons,
+    sound_stl,
+    unreadable,
+)
 from cluttergen_jax.importing.readers.materials import Dresser, gltf_notes
 from cluttergen_jax.importing.readers.mesh_text import Companions, mesh_input
 from cluttergen_jax.importing.readers.opening import check_openable
-from cluttergen_jax.importing.readers.polygons import cut_obj, cut_ply
+from cluttergen_jax.importing.readers.polygons import cut_obj
 
 _RANDOM = re.compile(r"_[0-9a-f]{6}$")
 """What trimesh puts behind a node's name where several surfaces hang on it, another each time."""
@@ -36,7 +41,6 @@ def _mend_obj(data: bytes) -> tuple[bytes, tuple[str, ...]]:
 
 _MENDS: dict[str, Callable[[bytes], tuple[bytes, tuple[str, ...]]]] = {
     ".obj": _mend_obj,
-    ".ply": cut_ply,
     ".stl": sound_stl,
 }
 """By suffix, what is done to a file's content before it is parsed."""
@@ -146,7 +150,21 @@ def _parse(path: Path, beside: Companions) -> tuple[trimesh.Scene, list[str]]:
         notes += of_content
     with collada_polygons(path) as of_polygons:
         scene = trimesh.load_scene(**content._asdict(), resolver=beside, process=False)
+    if path.suffix.lower() == ".ply":
+        _check_ply_faces(path, scene)
     return scene, [*notes, *of_polygons]
+
+
+def _check_ply_faces(path: Path, scene: trimesh.Scene) -> None:
+    """trimesh reads all faces of a binary PLY file with as many corners as the first has."""
+    for geometry in scene.geometry.values():
+        faces = geometry.metadata.get("_ply_raw", {}).get("face", {}).get("data")
+        if not isinstance(faces, np.ndarray) or faces.dtype.names is None:
+            continue
+        for name in faces.dtype.names:
+            is_list = faces.dtype[name].names == ("f0", "f1")
+            if is_list and len(np.unique(faces[name]["f0"])) > 1:
+                raise ply_of_polygons(path)
 
 
 def _sound(geometry: trimesh.Trimesh, path: Path) -> Mesh:

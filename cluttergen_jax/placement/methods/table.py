@@ -109,7 +109,6 @@ METHODS: dict[str, MethodEntry] = {
         own_poses=", which always releases objects in random orientations",
     ),
     "policy": MethodEntry("a policy with the head of its preset, trained for the pool"),
-    "beta": MethodEntry("a policy with a Beta distribution a coordinate"),
     "beta_free": MethodEntry("the paper's policy"),
     "normal": MethodEntry("a policy with a normal distribution a coordinate"),
     "open_loop": MethodEntry("a policy that looks back on no failed attempt"),
