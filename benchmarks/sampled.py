@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cluttergen_jax.placement.baselines import make_proposer
+from cluttergen_jax.placement.methods.table import make_proposer
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.scenes import SceneBatch

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
 from cluttergen_jax.config import (
-    PILE,
     Change,
     Method,
     check_names,
@@ -21,6 +20,7 @@ from cluttergen_jax.spec import EvaluateOptions, SceneSpec, spec_of, takes_spec
 
 if TYPE_CHECKING:
     from cluttergen_jax.evaluation.comparison import Comparison
+    from cluttergen_jax.spec import OwnProposer
 
 _TRIALS = 1000
 _SUPPORTS = ("table",)
@@ -29,7 +29,7 @@ _SUPPORTS = ("table",)
 @with_kept_programs
 @takes_spec(EvaluateOptions, num_objects=10)
 def evaluate(
-    methods: Sequence[Method] = (),
+    methods: Sequence[Method | OwnProposer | str] = (),
     pools: Sequence[str] = (),
     supports: Sequence[str] = _SUPPORTS,
     spec: SceneSpec | None = None,
@@ -51,8 +51,9 @@ def evaluate(
 
     Args:
       methods: "random", "clear", "drop", "spread", "guided", and policies trained for the pool: "policy",
-        "beta_free", "normal", "open_loop" or "short_memory". If not given: the first five, and "policy"
-        where one is embedded. Of a suite, the rows that are made; all if not given.
+        "beta_free", "normal", "open_loop" or "short_memory"; or your own, as the `method` of a `SceneSpec`.
+        If not given: the first five, and "policy" where one is embedded. Of a suite, the rows that are made;
+        all if not given.
       pools: names or folders, or several joined by +; dining if not given, and what each study asks for in a
         suite.
       supports: names or folders; "table-0.40x0.50" is a cuboid of that size, all of it the queried region.
@@ -93,6 +94,7 @@ def evaluate(
     from cluttergen_jax.evaluation.studies.study import grid
     from cluttergen_jax.evaluation.trial import Trial
     from cluttergen_jax.learning.methods import methods_of
+    from cluttergen_jax.placement.methods.table import entry_of, find_method, takers
 
     place = cluster_of(cluster, workers)
     check_folder(out)
@@ -108,11 +110,12 @@ def evaluate(
         supports = (str(asked.support),)
     if not methods and asked.method is not None:
         methods = (asked.method,)
-    if PILE in methods:
+    chosen = tuple(find_method(each) for each in methods)
+    if whole := [each for each in chosen if entry_of(each).is_whole]:
         raise ConfigError(
-            f"method {PILE!r}, which places no objects that could be counted one by one",
+            f"method {whole[0]!r}, which places no objects that could be counted one by one",
             "methods that place one object after another",
-            f"generate(method={PILE!r}), which tells how many scenes succeed",
+            f"generate(method={whole[0]!r}), which tells how many scenes succeed",
         )
     base = Trial(
         num_objects=10 if asked.num_objects is None else asked.num_objects,
@@ -130,12 +133,14 @@ def evaluate(
             base,
             pool=(join_pool_names(pool, asked.exclude),),
             support=supports,
-            method=methods or methods_of(str(pool)),
+            method=chosen or methods_of(str(pool)),
         )
     ]
-    if asked.height != "rest" and all(trial.method != "random" for trial in planned):
+    free = takers("height")
+    if asked.height != "rest" and all(trial.height == "rest" for trial in planned):
         raise ConfigError(
-            f"height = {asked.height!r} without a row of 'random'", hint="methods=('random',)"
+            f"height = {asked.height!r} without a row of {free[0]!r}",
+            hint=f"methods={free}",
         )
     for trial in planned:
         asked.check_poses(trial.method)

@@ -15,9 +15,7 @@ from cluttergen_jax.assets.pool import Pool, find_pool
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import (
-    METHODS,
     ROBUST_TILT,
-    VARIANTS,
     StabilityConfig,
     no_such,
     stability_record,
@@ -35,6 +33,8 @@ from cluttergen_jax.learning.training.suite import (
     PAPERS_VARIANTS,
 )
 from cluttergen_jax.learning.training.variants import HELD_OUT_FAMILIES, TRAINING_FAMILIES, variants
+from cluttergen_jax.placement.methods.own import OwnMethod
+from cluttergen_jax.placement.methods.table import LEARNED, METHODS, entry_of
 
 VARIANT_POOLS = {"held_out_families": HELD_OUT_FAMILIES, "training_families": TRAINING_FAMILIES}
 """Names of pools of the modeller's variants, which no folder holds, and the families of their objects."""
@@ -122,7 +122,7 @@ class Checkpoints:
 
     def _is_of(self, method: str) -> bool:
         """Whether the given checkpoint is the method's; a record that does not say fits any of poses."""
-        if self.given is None or method not in VARIANTS:
+        if self.given is None or method not in LEARNED:
             return False
         return method == self.given.variant or (
             self.given.variant is None and method not in FOR_ANY_POOL
@@ -135,7 +135,7 @@ class Checkpoints:
           MissingCheckpointError: there is none, or its record is damaged.
           ConfigError: there is no such method. PoolError: `path` holds no checkpoint.
         """
-        if trial.method not in VARIANTS:
+        if not entry_of(trial.method).needs_checkpoint:
             checkpoint_of(trial.method, trial.pool)
             return None
         given = self.given if self._is_of(trial.method) else None
@@ -331,6 +331,8 @@ class Resolver:
             "engine": self._engine,
             "versions": versions(),
         }
+        if isinstance(trial.method, OwnMethod):
+            sources["method"] = trial.method.digest
         if trial.robust:
             sources["robust"] = stability_record(StabilityConfig(robust_tilt=ROBUST_TILT))
         return ResolvedTrial(trial, pool, support, checkpoint, sources, key_of(trial, sources))

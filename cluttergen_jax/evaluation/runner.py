@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.cluster import Cluster, each_on
-from cluttergen_jax.config import ROBUST_TILT, StabilityConfig
+from cluttergen_jax.config import ROBUST_TILT, StabilityConfig, stability_of
 from cluttergen_jax.errors import ClutterGenError, ConfigError
 from cluttergen_jax.evaluation.episodes import (
     Outcome,
@@ -276,7 +276,8 @@ class Runner:
         """The trial's compiled world and rules, ready for what is compiled already."""
         trial = resolved.trial
         base = self._base_setup(resolved)
-        stability = StabilityConfig(
+        stability = replace(
+            stability_of(trial.stability) if trial.stability else StabilityConfig(),
             stop_when_decided=resolved.is_cut and not trial.whole_attempts,
             judge_neighbours=judge_neighbours,
             robust_tilt=ROBUST_TILT if trial.robust else 0.0,

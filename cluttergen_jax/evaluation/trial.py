@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.pool import public_name
-from cluttergen_jax.config import TRUSTED_METHODS
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.methods.table import entry_of
 from cluttergen_jax.placement.region import find_change
 
 MAX_TRIALS = 1_000_000
@@ -31,7 +31,7 @@ class Trial:
 
     Attributes:
       pool, support: names or folders.
-      method: a name of `learning.methods.METHODS`.
+      method: a name of `placement.methods.table.METHODS`, or a user's own (`OwnMethod`).
       num_objects: objects per scene; attempts: per object.
       trials: scenes.
       seed: of the scenes; training_seed: of the checkpoint, for learned methods.
@@ -50,6 +50,7 @@ class Trial:
       tidy: take the best of the poses that are trusted, as `--tidy` does.
       height: at which `random` lets go, "rest" or "free" (`PlacementConfig`).
       poses: in which objects are released, "upright", "resting" or "any".
+      stability: limits of "stable" that are not the usual ones (`config.stability_text`); "" if all are.
       order, ruin_after, budget: of a `PlacementConfig`; the paper's unless given.
     """
 
@@ -76,6 +77,7 @@ class Trial:
     tidy: bool = False
     height: str = "rest"
     poses: str = "upright"
+    stability: str = ""
 
     def __post_init__(self) -> None:
         if not 1 <= self.trials <= MAX_TRIALS:
@@ -122,12 +124,13 @@ class Trial:
 
     def record(self) -> dict[str, Any]:
         """Its fields for results that others read."""
-        return asdict(self) | {"pool": self.pool_name, "support": self.support_name}
+        plain = {"pool": self.pool_name, "support": self.support_name, "method": str(self.method)}
+        return asdict(self) | plain
 
     @property
     def row_name(self) -> str:
         """What tables call its row: its method, and what sets its rules apart from that method's own."""
-        is_trusted = self.method in TRUSTED_METHODS
+        is_trusted = entry_of(self.method).is_trusted
         is_ruined = self.ruin_after > 0
         own, other = ("weighted", "random") if is_trusted else ("random", "weighted")
         if is_ruined != is_trusted and self.order == other:
@@ -143,6 +146,7 @@ class Trial:
         words = [name for name, is_asked in named.items() if is_asked] + [self.clutter] * bool(
             self.clutter
         )
+        words += [self.stability] if self.stability else []
         return words + ([f"{self.poses} poses"] if self.poses != "upright" else [])
 
     @property

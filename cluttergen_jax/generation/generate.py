@@ -27,6 +27,7 @@ from cluttergen_jax.generation.files import write_files
 from cluttergen_jax.learning.methods import DEFAULT_METHOD, Method, sampler_of
 from cluttergen_jax.physics import engine_of
 from cluttergen_jax.placement.config import placement_record
+from cluttergen_jax.placement.methods.own import OwnMethod
 from cluttergen_jax.placement.problem import Problem, Setup, area_of, crowding
 from cluttergen_jax.placement.rollout import (
     BLOCK_SIZE,
@@ -165,7 +166,8 @@ def recipe_of(problem: Problem, method: Method, names: Sequence[str] | None = No
         "placement": placement_record(problem.config.placement),
         "stability": stability_record(problem.config.stability),
         "region": dataclasses.asdict(problem.region),
-        "method": method.name,
+        "method": str(method.name),
+        **({"method_digest": method.name.digest} if isinstance(method.name, OwnMethod) else {}),
         "checkpoint_hash": method.checkpoint and method.checkpoint.hash,
         "block_size": BLOCK_SIZE,
         "names": problem.world.names if names is None else names,

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,16 +17,17 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.cluster import Cluster, each_on
-from cluttergen_jax.config import DETECTORS, VerifyConfig, check_workers
+from cluttergen_jax.config import DETECTORS, StabilityConfig, VerifyConfig, check_workers
 from cluttergen_jax.errors import BankError, UnsafePathError
 from cluttergen_jax.files import check_utf8, inside, write_atomically
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.standing import StandingCheck, check_standing
 from cluttergen_jax.progress import track
-from cluttergen_jax.scene.bank.bank import read_bank
+from cluttergen_jax.scene.bank.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.digests import Change, changes_of, changes_to_scene, without_digests
 from cluttergen_jax.scene.bank.record import AGAIN, INDEX
 from cluttergen_jax.scene.bank.remote import fetch_scenes
+from cluttergen_jax.scene.bank.scene import config_of
 from cluttergen_jax.types import small_length
 
 _SHORTEST_STEP = 1e-4
@@ -60,6 +62,7 @@ class VerificationReport:
       changes: the files of a bank that are not what was written; None if it has no digests of them.
       changed_files: for each scene, those of its files that were changed.
       unchecked: what of a bank has no digests, "files" or "rows"; "" if everything has.
+      has_own_limits: the limits are those that the bank was asked for, not the usual ones.
       unwritten: why verification.json could not be written into the bank's folder; "" if it is there.
     """
 
@@ -70,6 +73,7 @@ class VerificationReport:
     changed_files: tuple[tuple[str, ...], ...]
     unchecked: str = ""
     unwritten: str = ""
+    has_own_limits: bool = False
 
     @property
     def stands(self) -> np.ndarray:
@@ -111,6 +115,8 @@ class VerificationReport:
             f"{self.stands.sum()} of {len(self.scenes)} scenes stand for {self.config.seconds:g} s "
             f"(no object moved more than {limits}, by either detector of MuJoCo's)",
         ]
+        if self.has_own_limits:
+            lines.append("limits of the bank's own recipe (`stability`), not the usual ones")
         if len(shift):
             lines.append(
                 f"movement of {len(shift)} objects: median {small_length(np.median(shift))}, "
@@ -162,6 +168,9 @@ def verify_files(
             "a bank that knows its files",
             f"{AGAIN}; or `allow_unchecked`, to simulate the files as they are",
         )
+    limits = _limits_of(path, bank, check)
+    has_own_limits = limits != check
+    check = limits
     changes = [] if bank is None else changes_of(bank)
     if cluster is None:
         checks = _check_here(files, check, jobs)
@@ -174,7 +183,9 @@ def verify_files(
         tuple(changes_to_scene(changes or [], each.path.name, each.objects)) for each in scenes
     )
     kept = None if changes is None else tuple(changes)
-    report = VerificationReport(path, check, scenes, kept, changed, unchecked)
+    report = VerificationReport(
+        path, check, scenes, kept, changed, unchecked, has_own_limits=has_own_limits
+    )
     file = path / "verification.json"
     try:
         if path.is_dir():
@@ -182,6 +193,28 @@ def verify_files(
     except OSError as error:
         return replace(report, unwritten=f"{file} was not written ({error.strerror})")
     return report
+
+
+def _limits_of(path: Path, bank: Bank | None, check: VerifyConfig) -> VerifyConfig:
+    """The check with the limits that a bank, or a scene file's bank, was asked for in place of usual ones."""
+    if bank is None and (path.parent.parent / INDEX).is_file():
+        with suppress(BankError):
+            bank = read_bank(path.parent.parent)
+    if bank is None:
+        return check
+    usual = StabilityConfig()
+    asked = config_of(StabilityConfig, bank.recipe.get("stability", {}), bank.path)
+    if (
+        check.max_shift == VerifyConfig.max_shift
+        and asked.stand_full_shift != usual.stand_full_shift
+    ):
+        check = replace(check, max_shift=asked.stand_full_shift)
+    if (
+        check.max_turn_deg == VerifyConfig.max_turn_deg
+        and asked.stand_full_turn != usual.stand_full_turn
+    ):
+        check = replace(check, max_turn_deg=math.degrees(asked.stand_full_turn))
+    return check
 
 
 def _check_here(

@@ -3,7 +3,6 @@
 import numpy as np
 
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.config import VARIANTS
 from cluttergen_jax.evaluation.suites import Scale, find_suite
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.policies.embedded import FOR_ANY_POOL
@@ -17,8 +16,9 @@ from cluttergen_jax.learning.training.suite import (
 )
 from cluttergen_jax.learning.training.suite_run import config_of
 from cluttergen_jax.learning.training.train import TrainConfig, recipe_of
+from cluttergen_jax.placement.methods.table import LEARNED
 
-POLICIES = set(VARIANTS) - set(FOR_ANY_POOL)
+POLICIES = set(LEARNED) - set(FOR_ANY_POOL)
 
 
 def planned(trial: Trial) -> PlannedRun:

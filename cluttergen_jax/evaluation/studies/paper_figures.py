@@ -38,7 +38,7 @@ from cluttergen_jax.evaluation.studies.table1 import CLUTTERGEN, first_seed
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.training.metrics_log import read_rows
 from cluttergen_jax.learning.training.suite import DEFAULT_ATTEMPTS, TABLE_ATTEMPTS
-from cluttergen_jax.placement.baselines import BASELINES
+from cluttergen_jax.placement.methods.table import BASELINES
 
 
 def _plot_by_pool(

@@ -8,7 +8,6 @@ from functools import partial
 from pathlib import Path
 
 from cluttergen_jax.assets.pool import ALL
-from cluttergen_jax.config import TRUSTED_METHODS
 from cluttergen_jax.evaluation.cells import (
     COST,
     EFFORT_NOTES,
@@ -38,6 +37,7 @@ from cluttergen_jax.judging.robustness import (
     RobustConfig,
     robust,
 )
+from cluttergen_jax.placement.methods.table import TRUSTED
 from cluttergen_jax.statistics import proportion
 
 ROWS = tuple(
@@ -65,7 +65,7 @@ def _robust_rows(scale: Scale) -> tuple[Trial, ...]:
     crowd = replace(base, pool=ALL, num_objects=_CROWD, trials=-(-base.trials // 4))
     return (
         *named_rows([*tight, crowd], *ROWS),
-        *named_rows(stacked, *(name for name in ROWS if name.split(", ")[0] in TRUSTED_METHODS)),
+        *named_rows(stacked, *(name for name in ROWS if name.split(", ")[0] in TRUSTED)),
     )
 
 

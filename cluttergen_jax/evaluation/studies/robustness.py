@@ -48,8 +48,8 @@ from cluttergen_jax.judging.robustness import (
     tilt,
 )
 from cluttergen_jax.judging.scene_models import SceneModels, movement
-from cluttergen_jax.placement.baselines import BASELINES
 from cluttergen_jax.placement.config import MIN_MARGIN
+from cluttergen_jax.placement.methods.table import BASELINES
 from cluttergen_jax.statistics import finite, proportion
 from cluttergen_jax.tables import Table
 from cluttergen_jax.types import Verdict

@@ -14,6 +14,7 @@ from cluttergen_jax.evaluation.cells import request_of
 from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.trial import RANDOM_ORDER, ROBUST, RUIN, TIDY, Trial
 from cluttergen_jax.placement.config import RUIN_AFTER
+from cluttergen_jax.placement.methods.table import entry_of
 from cluttergen_jax.spec import SceneSpec
 
 
@@ -31,8 +32,9 @@ def with_rules_of(trial: Trial, spec: SceneSpec) -> Trial:
         ruin_after=decided.ruin_after or 0,
         budget=decided.budget,
         min_margin=decided.min_margin or 0.0,
-        height=spec.height if trial.method == "random" else "rest",
+        height=spec.height if "height" in entry_of(trial.method).takes else "rest",
         poses=spec.poses,
+        stability=str(spec.stability or ""),
     )
 
 

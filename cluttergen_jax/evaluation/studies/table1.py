@@ -25,7 +25,7 @@ from cluttergen_jax.evaluation.cells import (
 from cluttergen_jax.evaluation.records import Result, Row
 from cluttergen_jax.evaluation.studies.study import Scale, Study, grid
 from cluttergen_jax.evaluation.trial import Trial, trial_of
-from cluttergen_jax.placement.baselines import BASELINES
+from cluttergen_jax.placement.methods.table import BASELINES
 from cluttergen_jax.tables import Table
 
 GROUP_OF_POOL = {

@@ -11,8 +11,10 @@ import pyarrow as pa
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.config import HAND, PILE, StabilityConfig
+from cluttergen_jax.config import HAND, StabilityConfig
+from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
+from cluttergen_jax.placement.methods.table import entry_of
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.record import READER, Bits, Recipe
 from cluttergen_jax.scene.bank.stats import BankStats, stats_of
@@ -121,7 +123,7 @@ def card_text(bank: Bank, stats: BankStats) -> str:
         _figures(stats),
         _files(bank.path, BY_HAND if bank.recipe.get("method") == HAND else ()),
         _recipe_section(bank.recipe, bank.record.get("bits", [])),
-        _stability(bank.recipe),
+        _stability(bank),
         assets_section(assets, bank.support),
     ]
     return "\n\n".join(sections) + "\n"
@@ -149,7 +151,7 @@ def front_matter(licences: Sequence[str], tags: Sequence[str], title: str, data_
 
 def _about(bank: Bank, stats: BankStats) -> str:
     how = "placed one after another on a support until all lie still together"
-    if bank.recipe.get("method") == PILE:
+    if entry_of(bank.recipe.get("method")).is_whole:
         how = "let fall into a heap until all lie still together"
     return (
         f"# {bank.path.resolve().name}\n\n"
@@ -222,7 +224,9 @@ def _recipe_section(recipe: Recipe, bits: list[Bits]) -> str:
         "attempts per scene": placement.get("budget") or "so many for each object",
         "failed attempts after which objects are taken away": placement.get("ruin_after")
         or "none are",
-        "method": recipe.get("method"),
+        "method": f"{recipe['method']}, a user's own, digest {recipe['method_digest']}"
+        if "method_digest" in recipe
+        else recipe.get("method"),
         "checkpoint": recipe.get("checkpoint_hash") or "none",
         "seed": recipe.get("seed"),
         "engine": recipe.get("engine"),
@@ -251,7 +255,8 @@ def _recipe_section(recipe: Recipe, bits: list[Bits]) -> str:
     )
 
 
-def _stability(recipe: Recipe) -> str:
+def _stability(bank: Bank) -> str:
+    recipe = bank.recipe
     limits = {
         **recipe.get("stability", {}),
         **{f"contact {k}": v for k, v in recipe.get("contact", {}).items()},
@@ -266,9 +271,19 @@ def _stability(recipe: Recipe) -> str:
         "",
         ", ".join(f"{name} = {value}" for name, value in limits.items()) + ".",
         "",
+        *_other_limits(bank),
         f"Verdicts: {'; '.join(f'{v.label}: {v.sentence}' for v in Verdict if v >= 0)}.",
     ]
     return "\n".join(lines)
+
+
+def _other_limits(bank: Bank) -> list[str]:
+    """What its scenes were asked to be stable by, where those are not the usual limits."""
+    try:
+        asked = bank.spec.stability
+    except BankError:
+        return []
+    return [f"Asked for, in place of the usual limits: {asked}.", ""] if asked else []
 
 
 def assets_section(assets: Sequence[ObjectAsset], support: SupportAsset) -> str:

@@ -1,4 +1,4 @@
-"""Parts of a user's own (placer, planner, observer): what they are called, and how they are told apart."""
+"""Parts of a user's own (method, placer, planner, observer): what they are called, and how told apart."""
 
 from __future__ import annotations
 
@@ -31,17 +31,13 @@ def _home_of(part: Any) -> str:
 
 def part_name(part: Any) -> str:
     """What rows call a part: its attribute `name`, else that of its function or class."""
-    name = getattr(part, "name", None) or getattr(part, "__name__", None)
-    return str(name or type(part).__name__)
+    inner = part.func if isinstance(part, functools.partial) else part
+    name = getattr(part, "name", None) or getattr(inner, "__name__", None)
+    return str(name or type(inner).__name__)
 
 
 def part_label(part: Any, what: str) -> str:
-    """Name and digest of a user's part, as recipes have them; of one of this package its name alone.
-
-    The digest is made of the attribute `digest`, a text, if there is one; else of the source code of its
-    function or class, of its attributes and those of its class, and of the variables and functions of its
-    module that the code names, random generators and what cannot be pickled left out; else of the attribute
-    `name`. What the code calls in other modules is not looked at.
+    """Name and digest (`part_digest`) of a user's part, as recipes have them; of this package's its name.
 
     Args:
       what: the argument that it was given as.
@@ -53,32 +49,52 @@ def part_label(part: Any, what: str) -> str:
         raise ConfigError(f"{what} = {part!r}", "a name, or an object that can be called")
     if not is_own(part):
         return part_name(part)
+    return f"{part_name(part)} {part_digest(part, what)}"
+
+
+def part_digest(part: Any, what: str) -> str:
+    """16 hex digits that tell a part from others: a part says its digest, else its source is hashed.
+
+    It says it by an attribute `digest`, a text. Its source is that of its function or class and bases, with
+    its attributes and those of its class, and the variables and functions of its module that the code
+    names; random generators and what cannot be pickled are left out. What the code calls in other modules is
+    not looked at. Of what has no source the attribute `name` is hashed.
+
+    Args:
+      what: the argument that it was given as.
+
+    Raises:
+      ConfigError: nothing tells it from others.
+    """
     told = getattr(part, "digest", None)
     if isinstance(told, str) and told:
-        content = told.encode()
-    else:
-        try:
-            inner = inspect.unwrap(part)
-            content = _code_of(inner) + _bytes_of(_state_of(inner)) + b"".join(_named_by(inner))
-        except _FAULTS as error:
-            name = getattr(part, "name", None)
-            if not isinstance(name, str) or not name:
-                raise ConfigError(
-                    f"{what} {part_name(part)!r}, which nothing tells from others: {error}",
-                    "a part whose source and attributes can be read, or with an attribute `digest` or `name`",
-                    "`digest`, a text that is another whenever the part does something else",
-                ) from error
-            content = name.encode()
-    return f"{part_name(part)} {hashlib.sha256(content).hexdigest()[:16]}"
+        return _digest_of(told.encode())
+    try:
+        inner = inspect.unwrap(part)
+        return _digest_of(_code_of(inner), _bytes_of(_state_of(inner)), *_named_by(inner))
+    except _FAULTS as error:
+        name = getattr(part, "name", None)
+        if not isinstance(name, str) or not name:
+            raise ConfigError(
+                f"{what} {part_name(part)!r}, which nothing tells from others: {error}",
+                "a part whose source and attributes can be read, or with an attribute `digest` or `name`",
+                "`digest`, a text that is another whenever the part does something else",
+            ) from error
+        return _digest_of(name.encode())
+
+
+def _digest_of(*content: bytes) -> str:
+    return hashlib.sha256(b"".join(content)).hexdigest()[:16]
 
 
 def _code_of(part: Any) -> bytes:
     """The source of a function, or of the classes of an object."""
     if isinstance(part, functools.partial):
         return _code_of(part.func)
-    if inspect.isroutine(part) or isinstance(part, type):
+    if inspect.isroutine(part):
         return inspect.getsource(part).encode() + _code_of_lambda(part)
-    kinds = [kind for kind in type(part).__mro__[:-1] if kind.__module__ not in ("typing", "abc")]
+    classes = part.__mro__ if isinstance(part, type) else type(part).__mro__
+    kinds = [kind for kind in classes[:-1] if kind.__module__ not in ("typing", "abc")]
     return inspect.getsource(kinds[0]).encode() + b"".join(_code_if_any(kind) for kind in kinds[1:])
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from cluttergen_jax.placement.baselines import LowestFit
+from cluttergen_jax.placement.methods.baselines import LowestFit
 from cluttergen_jax.placement.region import action_of_pose, from_pose
 from cluttergen_jax.placement.search.fit import Candidates
 from cluttergen_jax.placement.search.search import CLEARANCE, FORBIDDEN

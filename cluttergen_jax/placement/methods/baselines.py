@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import jax
 import jax.numpy as jnp
 from flax import struct
 
-from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.region import Region, action_of_pose, is_in_polygon
-from cluttergen_jax.placement.rules import Proposer, Rules
+from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.search.candidate_sampler import CandidateSampler, CandidateSet
 from cluttergen_jax.placement.search.search import CLEARANCE, CandidateScores, Search
 from cluttergen_jax.placement.types import Episode
@@ -126,24 +123,3 @@ class Spread(CandidateSampler, eq=False):
         """See `CandidateSampler`."""
         gap, tipping = costs_of_staying(candidates.found.scores)
         return jnp.exp(-(gap + tipping))
-
-
-__all__ = ["BASELINES", "Clear", "LowestFit", "Spread", "make_proposer"]
-
-BASELINES: dict[str, Callable[[Rules], Proposer]] = {
-    "random": Random,
-    "clear": Clear,
-    "drop": LowestFit,
-    "spread": Spread.of,
-}
-
-
-def make_proposer(method: str, rules: Rules) -> Proposer:
-    """The baseline called `method`, for the world behind `rules`.
-
-    Raises:
-      ConfigError: there is no such method.
-    """
-    if method not in BASELINES:
-        raise ConfigError(f"method {method!r}", ", ".join(BASELINES), "method='clear'")
-    return BASELINES[method](rules)
