@@ -88,11 +88,14 @@ def evaluate_suite(
       BankError: another process writes to `out`.
     """
     from cluttergen_jax.cluster import cluster_of
+    from cluttergen_jax.evaluation.comparison import open_runner
+    from cluttergen_jax.numerics import fast_compilation
     from cluttergen_jax.scene.bank.remote import bank_folder
-    from studies.downstream.suite import NAME, run_downstream
-    from studies.downstream.suite_folder import DownstreamScale
-    from studies.running import make_suite, suite_folder
+    from studies.downstream.suite_folder import DownstreamScale, SuiteFolder, need_extras
+    from studies.methods.time import TIME
+    from studies.running import imported_pools, make_suite, suite_folder
     from studies.study import Scale
+    from studies.suites import DOWNSTREAM, find_suite
 
     place = cluster_of(cluster, workers)
     check_folder(out)
@@ -105,7 +108,7 @@ def evaluate_suite(
     if seeds is not None and not 1 <= seeds <= 100:
         raise ConfigError(f"seeds = {seeds}", "1 to 100")
     others: dict[str, object] = {"heads": heads, "num_pairs": num_pairs, "bank": bank}
-    if suite == NAME:
+    if suite == DOWNSTREAM:
         others = {
             "methods": methods,
             "checkpoint": checkpoint,
@@ -115,9 +118,25 @@ def evaluate_suite(
     if wrong := [name for name, value in others.items() if value]:
         raise ConfigError(f"`{wrong[0]}` with suite {suite!r}", hint=f"leaving out `{wrong[0]}`")
     folder = suite_folder(suite, quick) if out is None else Path(out)
+    hand_made = None if bank is None else bank_folder(bank)
+    options = {
+        "quick": quick,
+        "methods": tuple(methods),
+        "checkpoint": checkpoint,
+        "checkpoints": checkpoints,
+        "pools": tuple(pools),
+        "heads": tuple(heads),
+        "trials": trials,
+        "num-pairs": num_pairs,
+        "seeds": seeds,
+        "bank": hand_made and hand_made.name,
+        "seed": seed,
+        "engine": None if engine == "auto" else engine,
+        "threads": num_threads,
+    }
     with hold_folder(folder):
-        if suite == NAME:
-            scale = DownstreamScale(
+        if suite == DOWNSTREAM:
+            asked = DownstreamScale(
                 quick=quick,
                 trials=trials,
                 seeds=seeds,
@@ -125,19 +144,17 @@ def evaluate_suite(
                 seed=seed,
                 num_pairs=num_pairs,
                 heads=tuple(heads),
-                bank=None if bank is None else bank_folder(bank),
+                bank=hand_made,
             )
-            return run_downstream(folder, only, scale, num_threads, fresh, show)
-        return make_suite(
-            suite,
-            only,
-            Scale(quick, trials, seeds, tuple(pools), tuple(methods), seed),
-            folder,
-            checkpoint=checkpoint,
-            checkpoints=checkpoints,
-            engine=engine,
-            place=place,
-            num_threads=num_threads,
-            fresh=fresh,
-            show=show,
-        )
+            planned = find_suite(suite, asked, only)
+            need_extras(each.study for each in planned)
+            maker = SuiteFolder(folder, asked, num_threads, fresh)
+            return make_suite(suite, planned, maker, folder, options, show)
+        scale = Scale(quick, trials, seeds, tuple(pools), tuple(methods), seed, imported_pools())
+        planned = find_suite(suite, scale, only)
+        rows = [trial for each in planned if each.study is not TIME for trial in each.trials]
+        runner = open_runner(folder, rows, checkpoint, checkpoints, engine, num_threads, fresh)
+        if place is not None:
+            runner.make_on(place, rows)
+        with fast_compilation(quick):
+            return make_suite(suite, planned, runner, folder, options, show)

@@ -24,7 +24,7 @@ from studies.suites import STUDIES
 def tables_of(result: Result) -> list[Table]:
     """The study's tables; if fewer trials were made than it asks for, their titles say so.
 
-    The result of a study that is made in a package above this one brings its tables along.
+    The result of a study with `brings_tables` has them.
     """
     if "tables" in result:
         return [_table(**each) for each in result["tables"]]
@@ -219,8 +219,9 @@ def read_results(folder: Path) -> list[Result]:
     order = list(STUDIES)
     known = [result for result in results if result["name"] in order]
     known.sort(key=lambda result: order.index(result["name"]))
-    others = [result for result in results if "tables" in result]
-    return known + sorted(others, key=lambda result: result.get("place", 0))
+    return known + [
+        result for result in results if result["name"] not in order and "tables" in result
+    ]
 
 
 def standing_section(results: list[Result]) -> list[str]:

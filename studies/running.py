@@ -6,15 +6,12 @@ import hashlib
 import json
 import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.pool import find_pool, list_pools
-from cluttergen_jax.cluster import Cluster
-from cluttergen_jax.config import Engine
 from cluttergen_jax.evaluation.cells import is_failed, made_rows
-from cluttergen_jax.evaluation.comparison import open_runner
 from cluttergen_jax.evaluation.machine import origin, origins_of
 from cluttergen_jax.evaluation.records import Measured, Result
 from cluttergen_jax.evaluation.resolved import MissingCheckpointError
@@ -22,12 +19,11 @@ from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import FORMAT
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.files import inside, write_atomically
-from cluttergen_jax.numerics import fast_compilation
+from studies.downstream.suite_folder import SuiteFolder
 from studies.methods.table1 import IMPORTED, OBJECTS
-from studies.methods.time import TIME
 from studies.report import document, write_report
-from studies.study import Findings, Scale, Study
-from studies.suites import find_suite
+from studies.study import Findings, Study
+from studies.suites import PlannedStudy
 
 _SHOWN = ("trial", "policy", "figures", "missing", "hint")
 Show = Callable[[Result], None]
@@ -35,43 +31,31 @@ Show = Callable[[Result], None]
 
 def make_suite(
     suite: str,
-    only: Sequence[str],
-    scale: Scale,
+    planned: Sequence[PlannedStudy],
+    maker: Runner | SuiteFolder,
     folder: Path,
-    *,
-    checkpoint: str | Path | None,
-    checkpoints: str | Path | None,
-    engine: Engine,
-    place: Cluster | None,
-    num_threads: int,
-    fresh: bool,
+    options: Mapping[str, Any],
     show: Show,
 ) -> list[Result]:
-    """The results of a suite of methods, each written as it is done; see `cluttergen_jax.evaluate_suite`.
+    """The results of a suite's studies, each written as it is done; see `studies.api.evaluate_suite`.
 
     Args:
-      place: a cluster that makes the rows; this process if None.
+      maker: makes and keeps the rows.
+      options: of the command that makes the suite again; `quick` is one.
     """
-    scale = replace(scale, imported=imported_pools())
-    planned = find_suite(suite, scale, only)
-    rows = [trial for each in planned if each.study is not TIME for trial in each.trials]
-    runner = open_runner(folder, rows, checkpoint, checkpoints, engine, num_threads, fresh)
-    if place is not None:
-        runner.make_on(place, rows)
-    made = (
+    results = (
         run_study(
-            runner,
+            maker,
             each.study,
             each.trials,
             folder,
             suite,
-            command_of(suite, each.name, scale, runner),
-            scale.quick,
+            command_with({"suite": suite, "only": each.name, **options}),
+            bool(options["quick"]),
         )
         for each in planned
     )
-    with fast_compilation(scale.quick):
-        return write_each(made, folder, show)
+    return write_each(results, folder, show)
 
 
 def write_each(results: Iterable[Result], folder: Path, show: Show) -> list[Result]:
@@ -96,25 +80,6 @@ def imported_pools() -> tuple[tuple[str, int], ...]:
     return tuple((name, min(OBJECTS, len(find_pool(name)))) for name in names)
 
 
-def command_of(suite: str, study: str, scale: Scale, runner: Runner) -> str:
-    """The command that makes one study again."""
-    options = {
-        "methods": scale.methods,
-        "checkpoint": runner.checkpoints.path,
-        "checkpoints": runner.checkpoints.folder,
-        "pools": scale.pools,
-        "trials": scale.trials,
-        "seed": scale.seed,
-        "suite": suite,
-        "quick": scale.quick,
-        "seeds": scale.seeds,
-        "engine": None if runner.engine == "auto" else runner.engine,
-        "threads": runner.num_threads,
-        "only": study,
-    }
-    return command_with(options)
-
-
 def command_with(options: Mapping[str, Any]) -> str:
     """The command `python evaluate.py` with those of the options that are given."""
     words = ["python evaluate.py"]
@@ -126,9 +91,9 @@ def command_with(options: Mapping[str, Any]) -> str:
 
 
 def run_study(
-    runner: Runner,
+    maker: Runner | SuiteFolder,
     study: Study,
-    trials: Sequence[Trial],
+    trials: Sequence[Any],
     folder: Path,
     suite: str,
     command: str,
@@ -141,28 +106,56 @@ def run_study(
       command: what a reader would type to make the study again.
       quick: fewer trials were made than the study asks for, on purpose.
     """
+    if study.brings_tables:
+        assert study.measure is not None
+        found = study.measure(maker, trials, folder / study.name)
+        title = f"{study.title} (quick: fewer rows, few trials)" if quick else study.title
+        told: Any = {
+            "title": title,
+            "trials": sorted({_size(row) for row in found.rows}),
+            **origin(),
+            "records": found.rows,
+            "measure": None,
+            "pictures": [],
+            "tables": [asdict(table) for table in found.tables],
+        }
+    else:
+        assert isinstance(maker, Runner)
+        told = {"title": study.title, **_told_by_rows(maker, study, trials, folder)}
+    asked: Any = {"suite": suite, "name": study.name, "command": command, "quick": quick}
+    return {"format": FORMAT, **asked, "size": study.size, **told}
+
+
+def _told_by_rows(
+    runner: Runner, study: Study, trials: Sequence[Trial], folder: Path
+) -> dict[str, Any]:
+    """What trials' rows and their measure tell; the tables are made of it when they are read."""
     runner.say(f"{study.name}: {study.title}")
     rows = [] if study.measure else [runner.row(trial) for trial in trials]
     findings, measured = _findings(runner, study, trials, folder)
     made = made_rows(rows)
     latest, *others = origins_of(made or measured) or [origin()]
     plots = study.plot(made, folder / study.name) if study.plot and made else []
-    shown: Any = [{name: value for name, value in row.items() if name in _SHOWN} for row in rows]
     return {
-        "format": FORMAT,
-        "suite": suite,
-        "name": study.name,
-        "title": study.title,
-        "command": command,
-        "quick": quick,
-        "size": study.size,
         "trials": sorted({trial.trials for trial in trials}),
         **latest,
         **({"also_made": others} if others else {}),
-        "records": shown,
+        "records": [_shown(row) for row in rows],
         "measure": findings,
         "pictures": [*(findings["pictures"] if findings else []), *plots],
     }
+
+
+def _shown(row: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in row.items() if name in _SHOWN}
+
+
+def _size(row: Mapping[str, Any]) -> int:
+    """Trials of a row: queries, chains of them, episodes, or moments."""
+    trial = row["trial"]
+    return next(
+        trial[name] for name in ("chains", "queries", "episodes", "moments") if name in trial
+    )
 
 
 def num_failed(results: Sequence[Result]) -> int:
@@ -202,7 +195,7 @@ def _findings(
 
 
 def _plain(findings: Findings) -> Any:
-    return asdict(findings)
+    return {name: value for name, value in asdict(findings).items() if name != "tables"}
 
 
 def _findings_key(runner: Runner, study: Study, trials: Sequence[Trial]) -> str:

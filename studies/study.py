@@ -81,11 +81,16 @@ def of_methods(trials: Iterable[Trial], *methods: str) -> tuple[Trial, ...]:
 
 @dataclass(frozen=True)
 class Findings:
-    """What a measure found: rows for the tables, names of pictures, and notes below them."""
+    """What a measure found: rows for the tables, names of pictures, and notes below them.
 
-    rows: list[Row] = field(default_factory=list)
+    Attributes:
+      tables: made already; of a study with `brings_tables`.
+    """
+
+    rows: list[Any] = field(default_factory=list)
     pictures: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    tables: list[Table] = field(default_factory=list)
 
 
 Measure = Callable[[Any, Sequence[Any], Path], Findings]
@@ -113,6 +118,7 @@ class Study:
       renders: what is drawn of the trials' scenes beside their rows.
       measured_as: under which name findings are kept; the study's if "".
       keeps_each: the measure keeps its findings trial by trial (`Runner.measure`), not all together.
+      brings_tables: the measure makes and keeps the study's rows, and makes its tables.
       question: what a row asks of all methods alike, where it is about success; a page then counts where
         another method is as good as `guided`.
       depends_on: what else beside a trial decides the findings.
@@ -133,6 +139,7 @@ class Study:
     renders: Measure | None = None
     measured_as: str = ""
     keeps_each: bool = False
+    brings_tables: bool = False
     question: Question | None = None
     depends_on: Callable[[Any, Any], object] = _nothing
     needs_robot: bool = False

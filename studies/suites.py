@@ -4,9 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from cluttergen_jax.errors import ConfigError, closest
-from cluttergen_jax.evaluation.trial import Trial
+from studies.downstream.perception import PERCEPTION
+from studies.downstream.placement import CAMERAS, NOISE, PLACEMENT
+from studies.downstream.robot import REARRANGEMENT, REARRANGEMENT_ABLATIONS, ROBOT
+from studies.downstream.trained import (
+    PRETRAINED,
+    PROTOCOL,
+    SET_SIZE,
+    SOURCE,
+    TRAINING_SEEDS,
+    TRANSFER,
+)
 from studies.methods.clutter_targets import CLUTTER_TARGETS
 from studies.methods.density import CROWDS, DENSITY
 from studies.methods.diversity import ACCEPTANCE, DIVERSITY, DIVERSITY_MAPS
@@ -31,6 +42,8 @@ from studies.methods.tables import TABLE2, TABLE_TOPS, TABLES
 from studies.methods.time import TIME
 from studies.study import Scale, Study, of_methods
 
+DOWNSTREAM = "downstream"
+"""The suite whose studies make and keep their rows themselves, in a `SuiteFolder`."""
 # Times are measured in processes of their own, after everything else.
 SUITES: dict[str, tuple[Study, ...]] = {
     "paper": (
@@ -61,8 +74,23 @@ SUITES: dict[str, tuple[Study, ...]] = {
         CLUTTER_TARGETS,
         TIME,
     ),
+    DOWNSTREAM: (
+        PLACEMENT,
+        NOISE,
+        CAMERAS,
+        SET_SIZE,
+        SOURCE,
+        TRAINING_SEEDS,
+        TRANSFER,
+        PRETRAINED,
+        PROTOCOL,
+        PERCEPTION,
+        ROBOT,
+        REARRANGEMENT,
+        REARRANGEMENT_ABLATIONS,
+    ),
 }
-"""The paper's tables and figures in its order, and what the paper does not ask."""
+"""The paper's tables and figures in its order, what the paper does not ask, and what scenes are good for."""
 STUDIES = {study.name: study for studies in SUITES.values() for study in studies}
 
 
@@ -71,7 +99,7 @@ class PlannedStudy:
     """A study and its trials at some scale."""
 
     study: Study
-    trials: Sequence[Trial]
+    trials: Sequence[Any]
 
     @property
     def name(self) -> str:
@@ -86,11 +114,18 @@ def find_suite(suite: str, scale: Scale, only: Sequence[str] = ()) -> tuple[Plan
       ConfigError: there is no such suite, no such study in it, or nothing is left to be made.
     """
     if suite not in SUITES:
-        every = (*SUITES, "downstream")
         raise ConfigError(
-            f"suite = {suite!r}", ", ".join(every), 'suite="paper"', closest(suite, every)
+            f"suite = {suite!r}", ", ".join(SUITES), 'suite="paper"', closest(suite, SUITES)
         )
-    check_only(only, [study.name for study in SUITES[suite]], suite)
+    names = [study.name for study in SUITES[suite]]
+    for each in only:
+        if each not in names:
+            raise ConfigError(
+                f"only = {each!r} in suite {suite!r}",
+                ", ".join(names),
+                f'only="{names[0]}"',
+                closest(each, names),
+            )
     named = [study for study in SUITES[suite] if not only or study.name in only]
     planned = [PlannedStudy(study, trials) for study in named if (trials := study.trials(scale))]
     if not planned:
@@ -108,15 +143,3 @@ def find_suite(suite: str, scale: Scale, only: Sequence[str] = ()) -> tuple[Plan
             f"methods = {', '.join(scale.methods)!r} with suite {suite!r}", ", ".join(known)
         )
     return tuple(each for each in kept if each.trials)
-
-
-def check_only(only: Sequence[str], names: Sequence[str], suite: str) -> None:
-    """ConfigError for a name that is none of a suite's studies."""
-    for each in only:
-        if each not in names:
-            raise ConfigError(
-                f"only = {each!r} in suite {suite!r}",
-                ", ".join(names),
-                f'only="{names[0]}"',
-                closest(each, names),
-            )

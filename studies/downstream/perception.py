@@ -18,8 +18,8 @@ from cluttergen_jax.downstream.perception.scoring import MaskFigures
 from cluttergen_jax.downstream.placer.evaluation.tables import Row, with_interval
 from cluttergen_jax.statistics import proportion, share_row
 from cluttergen_jax.tables import Table
-from studies.downstream.suite_folder import Found, SuiteFolder
-from studies.study import Study
+from studies.downstream.suite_folder import SuiteFolder
+from studies.study import Findings, Study
 
 POOL = "household"
 _HEAD = ("masks", "cameras", "noise", "moments")
@@ -38,7 +38,7 @@ _MASK_NOTES = (
 )
 
 
-def _find_objects(suite: SuiteFolder, masks: Sequence[str], stem: Path) -> Found:
+def _find_objects(suite: SuiteFolder, masks: Sequence[str], stem: Path) -> Findings:
     """True masks, then the segmenter's; one camera and two; noise off and on."""
     number = suite.scale.number(300, 2)
     seed = suite.scale.seed
@@ -56,7 +56,7 @@ def _find_objects(suite: SuiteFolder, masks: Sequence[str], stem: Path) -> Found
             old.unlink()
     found = [perception_eval(views.path, each, seed=seed, out=out) for each in masks]
     rows = [row_of(result, row) for result in found for row in result.rows]
-    return Found(rows, tables=tables_of(rows))
+    return Findings(rows, tables=tables_of(rows))
 
 
 def row_of(result: PerceptionResult, row: PerceptionRow) -> Row:
@@ -124,5 +124,6 @@ PERCEPTION = Study(
     # The true masks, then the segmenter's.
     lambda scale: (TRUE_MASKS, POOL),
     measure=_find_objects,
+    brings_tables=True,
     needs_robot=True,
 )

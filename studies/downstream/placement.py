@@ -14,22 +14,22 @@ from cluttergen_jax.downstream.placer.evaluation.tables import cell, chain_table
 from cluttergen_jax.downstream.placer.heads.checkpoint import embedded_placers
 from cluttergen_jax.downstream.placer.proposers import BASELINES, FULL_STATE
 from cluttergen_jax.tables import Table
-from studies.downstream.suite_folder import NOISES, SETS, Found, PlacementSet, SuiteFolder
+from studies.downstream.suite_folder import NOISES, SETS, PlacementSet, SuiteFolder
 from studies.downstream.trained import Variant, group_by_seed, rows_of, table_of
-from studies.study import Study
+from studies.study import Findings, Study
 
 
-def _compare_sets(suite: SuiteFolder, sets: Sequence[PlacementSet], stem: Path) -> Found:
+def _compare_sets(suite: SuiteFolder, sets: Sequence[PlacementSet], stem: Path) -> Findings:
     """All sets, the first told in full, of the others the main table."""
     return found_of(
         [_compare(suite.trials(suite.test_set(one)), suite.scale.quick) for one in sets]
     )
 
 
-def found_of(comparisons: list[PlacerComparison]) -> Found:
+def found_of(comparisons: list[PlacerComparison]) -> Findings:
     """Comparisons on several sets as one study."""
     tables = [*comparisons[0].tables, *(each.tables[0] for each in comparisons[1:])]
-    return Found([row for each in comparisons for row in each.rows], tables=tables)
+    return Findings([row for each in comparisons for row in each.rows], tables=tables)
 
 
 def _compare(trials: PlacerTrials, quick: bool) -> PlacerComparison:
@@ -48,6 +48,7 @@ PLACEMENT = Study(
     1,
     lambda scale: scale.sets(*SETS),
     measure=_compare_sets,
+    brings_tables=True,
 )
 
 LADDER = (0.0, 0.5, 1.0, 2.0, 4.0)
@@ -55,7 +56,7 @@ _CHAINS = 256
 _QUICK_CHAINS = 2
 
 
-def _compare_noises(suite: SuiteFolder, placers: Sequence[str], stem: Path) -> Found:
+def _compare_noises(suite: SuiteFolder, placers: Sequence[str], stem: Path) -> Findings:
     """Queries at each level; chains without noise and with that of a usual camera."""
     noises = (0.0, 2.0) if suite.scale.quick else LADDER
     found = compare_placers(suite.trials(suite.test_set()), placers, noises, None)
@@ -65,7 +66,7 @@ def _compare_noises(suite: SuiteFolder, placers: Sequence[str], stem: Path) -> F
     asked = [(placer, noise) for noise in NOISES for placer in placers]
     chains = [row for each in asked if (row := trials.chain(*each, number)) is not None]
     rows = found.rows + [{"trial": row["trial"], "figures": row} for row in chains]
-    return Found(rows, tables=[found.tables[0], *found.tables[2:4], chain_table(chains)])
+    return Findings(rows, tables=[found.tables[0], *found.tables[2:4], chain_table(chains)])
 
 
 NOISE = Study(
@@ -74,6 +75,7 @@ NOISE = Study(
     1,
     lambda scale: ("geometry-occupied", "scored")[: 1 if scale.quick else None],
     measure=_compare_noises,
+    brings_tables=True,
 )
 
 _CAMERAS_NOTE = (
@@ -82,7 +84,7 @@ _CAMERAS_NOTE = (
 )
 
 
-def _compare_cameras(suite: SuiteFolder, numbers: Sequence[int], stem: Path) -> Found:
+def _compare_cameras(suite: SuiteFolder, numbers: Sequence[int], stem: Path) -> Findings:
     """The same queries seen by one camera, two and four, their maps fused."""
     placers = ("geometry", "geometry-occupied", "scored")[
         slice(1, 2) if suite.scale.quick else slice(None)
@@ -100,7 +102,7 @@ def _compare_cameras(suite: SuiteFolder, numbers: Sequence[int], stem: Path) -> 
     }
     cells = tuple((*key, share) for key, share in unseen.items())
     second = Table("Share of the region unseen, mean", ("cameras", "noise", "unseen"), cells)
-    return Found(rows, tables=[main, second])
+    return Findings(rows, tables=[main, second])
 
 
 CAMERAS = Study(
@@ -109,4 +111,5 @@ CAMERAS = Study(
     1,
     lambda scale: (1, 2, 4)[: 2 if scale.quick else None],
     measure=_compare_cameras,
+    brings_tables=True,
 )

@@ -17,8 +17,8 @@ from cluttergen_jax.downstream.robot.api import robot_place
 from cluttergen_jax.downstream.robot.trials import EPISODES, RobotTrials
 from cluttergen_jax.statistics import finite, proportion
 from cluttergen_jax.tables import Table
-from studies.downstream.suite_folder import DownstreamScale, Found, SuiteFolder
-from studies.study import Study
+from studies.downstream.suite_folder import DownstreamScale, SuiteFolder
+from studies.study import Findings, Study
 
 Asked = Mapping[str, Any]
 ASKED: tuple[Asked, ...] = (
@@ -47,7 +47,7 @@ _NOTES = (
 )
 
 
-def _move_objects(suite: SuiteFolder, asked: Sequence[Asked], stem: Path) -> Found:
+def _move_objects(suite: SuiteFolder, asked: Sequence[Asked], stem: Path) -> Findings:
     """The same scenes for all rows."""
     number = suite.scale.number(200, 1)
     seed = suite.scale.seed
@@ -63,7 +63,7 @@ def _move_objects(suite: SuiteFolder, asked: Sequence[Asked], stem: Path) -> Fou
         )
         rows.append(robot_row(each, trials))
         bank = bank or out / "bank"
-    return Found(rows, tables=[robot_table(rows)])
+    return Findings(rows, tables=[robot_table(rows)])
 
 
 def robot_row(asked: Asked, trials: RobotTrials) -> Row:
@@ -132,6 +132,7 @@ ROBOT = Study(
     1,
     lambda scale: ASKED[:: 3 if scale.quick else 1],
     measure=_move_objects,
+    brings_tables=True,
     needs_robot=True,
 )
 
@@ -169,9 +170,9 @@ def _settings(scale: DownstreamScale) -> list[Asked]:
     ]
 
 
-def _rearrange_all(suite: SuiteFolder, asked: Sequence[Asked], stem: Path) -> Found:
+def _rearrange_all(suite: SuiteFolder, asked: Sequence[Asked], stem: Path) -> Findings:
     rows = [_rearrange(suite, each) for each in asked]
-    return Found(rows, tables=[_rearranged_table("Objects brought into a new layout", rows)])
+    return Findings(rows, tables=[_rearranged_table("Objects brought into a new layout", rows)])
 
 
 def _ablation_settings(scale: DownstreamScale) -> list[Asked]:
@@ -179,9 +180,9 @@ def _ablation_settings(scale: DownstreamScale) -> list[Asked]:
     return [{"setting": each, "observer": by} for each in ABLATED[some] for by in OBSERVERS[some]]
 
 
-def _take_away(suite: SuiteFolder, asked: Sequence[Asked], stem: Path) -> Found:
+def _take_away(suite: SuiteFolder, asked: Sequence[Asked], stem: Path) -> Findings:
     """One thing taken away at a time."""
-    found = Found()
+    found = Findings()
     ablations = ABLATIONS[: 2 if suite.scale.quick else None]
     for each in asked:
         rows = [_rearrange(suite, {**each, **changed}, title) for title, changed in ablations]
@@ -244,6 +245,7 @@ REARRANGEMENT = Study(
     1,
     _settings,
     measure=_rearrange_all,
+    brings_tables=True,
     needs_robot=True,
 )
 REARRANGEMENT_ABLATIONS = Study(
@@ -252,5 +254,6 @@ REARRANGEMENT_ABLATIONS = Study(
     1,
     _ablation_settings,
     measure=_take_away,
+    brings_tables=True,
     needs_robot=True,
 )

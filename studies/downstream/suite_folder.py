@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from cluttergen_jax.config import MAX_PAIRS, PlacerHead, PlacerNoise, SensedFrom, check_range
+from cluttergen_jax.downstream.perception.pose.icp import need_gicp
 from cluttergen_jax.downstream.placer.api import placer_data
 from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerTrials
 from cluttergen_jax.downstream.placer.examples import ExampleSource
 from cluttergen_jax.downstream.placer.pairs.store import PairSet
 from cluttergen_jax.downstream.placer.training import PlacerTraining, preset
+from cluttergen_jax.downstream.robot.description import find_robot
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import MAX_TRIALS
-from cluttergen_jax.tables import Table
-from studies.study import Findings, Scale
+from cluttergen_jax.scene.bank import read_bank
+from studies.study import Scale, Study
 
 NOISES = (0.0, 1.0)
 NUM_OBJECTS = 10
@@ -80,6 +82,16 @@ class DownstreamScale(Scale):
             check_range("num_pairs", self.num_pairs, 1, MAX_PAIRS, 5000)
         check_range("seed", self.seed, 0, MOST_SEED, 0)
         known = get_args(PlacerHead)
+        pools = list(dict.fromkeys(one.pool for one in SETS))
+        for name in self.pools:
+            if name not in pools:
+                raise ConfigError(
+                    f"pools = {name!r} with suite 'downstream'",
+                    ", ".join(pools),
+                    meant=closest(name, pools),
+                )
+        if self.bank is not None:
+            read_bank(self.bank)
         for head in self.heads:
             if head not in known:
                 raise ConfigError(f"head {head!r}", ", ".join(known), meant=closest(head, known))
@@ -107,6 +119,13 @@ class DownstreamScale(Scale):
         return [one for one in some if one.pool in self.pools_or(one.pool)][
             : 1 if self.quick else None
         ]
+
+
+def need_extras(studies: Iterable[Study]) -> None:
+    """MissingExtraError if one of some studies needs a robot or perception without their extras."""
+    if any(study.needs_robot for study in studies):
+        find_robot()
+        need_gicp()
 
 
 @dataclass(frozen=True)
@@ -226,11 +245,3 @@ class SuiteFolder:
             num_cameras,
             tenth,
         )
-
-
-@dataclass(frozen=True)
-class Found(Findings):
-    """What a study found: rows as they are stored, and tables of them."""
-
-    rows: list[Any] = field(default_factory=list)
-    tables: list[Table] = field(default_factory=list)

@@ -29,11 +29,10 @@ from studies.downstream.suite_folder import (
     SETS,
     VALIDATING,
     DownstreamScale,
-    Found,
     PlacementSet,
     SuiteFolder,
 )
-from studies.study import Study
+from studies.study import Findings, Study
 
 SEEDS_NOTE = (
     "of several training seeds the mean; its interval is that of the queries that each was asked, since all "
@@ -136,11 +135,11 @@ def pool_shares(shares: Sequence[Mapping[str, Any]], queries: int) -> Any:
 
 def _compare(
     suite: SuiteFolder, variants: Sequence[Variant], suffix: str, notes: Sequence[str]
-) -> Found:
+) -> Findings:
     """Rows and a table of variants on the queries of household."""
     rows = rows_of(suite.trials(suite.test_set()), variants, suite.scale.noises)
     title = f"{rows[0]['trial']['queries']} queries of household{suffix}"
-    return Found(rows, tables=[table_of(title, rows, notes)])
+    return Findings(rows, tables=[table_of(title, rows, notes)])
 
 
 def _table_of_sets(rows: Sequence[Row], suffix: str, notes: Sequence[str]) -> Table:
@@ -170,7 +169,7 @@ def _sizes(scale: DownstreamScale) -> list[tuple[str, int]]:
     return [(head, size) for head in heads for size in sizes]
 
 
-def _compare_sizes(suite: SuiteFolder, asked: Sequence[tuple[str, int]], stem: Path) -> Found:
+def _compare_sizes(suite: SuiteFolder, asked: Sequence[tuple[str, int]], stem: Path) -> Findings:
     variants = []
     for head, size in asked:
         num_scenes, num_pairs = (500, 5000) if size <= _FEW_SCENES else (2000, size)
@@ -181,7 +180,12 @@ def _compare_sizes(suite: SuiteFolder, asked: Sequence[tuple[str, int]], stem: P
 
 
 SET_SIZE = Study(
-    "set-size", "Placers by how many pairs they learned from", 1, _sizes, measure=_compare_sizes
+    "set-size",
+    "Placers by how many pairs they learned from",
+    1,
+    _sizes,
+    measure=_compare_sizes,
+    brings_tables=True,
 )
 
 # By how the scenes that they learned from came about.
@@ -200,7 +204,7 @@ _SOURCE_NOTES = (
 )
 
 
-def _compare_sources(suite: SuiteFolder, methods: Sequence[str], stem: Path) -> Found:
+def _compare_sources(suite: SuiteFolder, methods: Sequence[str], stem: Path) -> Findings:
     """The head `scored` by source, and by few pairs as a person would make them."""
     scale = suite.scale
     sets = []
@@ -228,6 +232,7 @@ SOURCE = Study(
     1,
     lambda scale: list(SCENES)[: 1 if scale.quick else None],
     measure=_compare_sources,
+    brings_tables=True,
 )
 
 # The placer that comes with the package, trained again with other seeds.
@@ -244,7 +249,7 @@ _QUICK_NOTES = (
 )
 
 
-def _compare_seeds(suite: SuiteFolder, sets: Sequence[PlacementSet], stem: Path) -> Found:
+def _compare_seeds(suite: SuiteFolder, sets: Sequence[PlacementSet], stem: Path) -> Findings:
     """Rows on all sets of the study `placement`."""
     scale = suite.scale
     learned = [suite.household()]
@@ -257,7 +262,7 @@ def _compare_seeds(suite: SuiteFolder, sets: Sequence[PlacementSet], stem: Path)
     for one in sets:
         variant = Variant({"set": one.name, "placer": "scored"}, runs)
         rows += rows_of(suite.trials(suite.test_set(one)), [variant], scale.noises)
-    return Found(
+    return Findings(
         rows, tables=[_table_of_sets(rows, "", _QUICK_NOTES if scale.quick else _SEED_NOTES)]
     )
 
@@ -268,6 +273,7 @@ TRAINING_SEEDS = Study(
     1,
     lambda scale: scale.sets(*SETS),
     measure=_compare_seeds,
+    brings_tables=True,
 )
 
 # Objects, tables and cameras that a placer has not learned from.
@@ -285,7 +291,7 @@ _TRANSFER_NOTES = (
 )
 
 
-def _compare_transfer(suite: SuiteFolder, sets: Sequence[PlacementSet], stem: Path) -> Found:
+def _compare_transfer(suite: SuiteFolder, sets: Sequence[PlacementSet], stem: Path) -> Findings:
     """Rows on all sets but household as it was learned from."""
     size = suite.scale.pairs(5000)
     rows = []
@@ -300,7 +306,7 @@ def _compare_transfer(suite: SuiteFolder, sets: Sequence[PlacementSet], stem: Pa
         variants = [Variant(labels | {"placer": name}, each) for name, each in placers.items()]
         rows += rows_of(suite.trials(suite.test_set(one)), variants, suite.scale.noises)
     table = _table_of_sets(rows, f", learned from {size:,} pairs", _TRANSFER_NOTES)
-    return Found(rows, tables=[table])
+    return Findings(rows, tables=[table])
 
 
 def new_parts(asked: PlacementSet) -> str:
@@ -317,6 +323,7 @@ TRANSFER = Study(
     1,
     lambda scale: scale.sets(*SETS[1:], *CAMERAS),
     measure=_compare_transfer,
+    brings_tables=True,
 )
 
 # The paper's network from scratch, and with encoders that know shapes already.
@@ -328,7 +335,7 @@ _PRETRAINED_NOTES = (
 )
 
 
-def _compare_encoders(suite: SuiteFolder, names: Sequence[str], stem: Path) -> Found:
+def _compare_encoders(suite: SuiteFolder, names: Sequence[str], stem: Path) -> Findings:
     """The head `regression`, preset `cpu`, on the same pairs."""
     pairs = suite.household()
     size = suite.scale.pairs(5000)
@@ -367,6 +374,7 @@ PRETRAINED = Study(
     1,
     lambda scale: ("from scratch", "pretrained"),
     measure=_compare_encoders,
+    brings_tables=True,
 )
 
 # Placers measured as the paper measures, beside what the same proposals are worth.
@@ -381,7 +389,7 @@ _PROTOCOL_NOTES = (
 )
 
 
-def _compare_protocols(suite: SuiteFolder, heads: Sequence[str], stem: Path) -> Found:
+def _compare_protocols(suite: SuiteFolder, heads: Sequence[str], stem: Path) -> Findings:
     """Every head, trained and tested on one set's pairs."""
     pairs = suite.household()
     variants = []
@@ -394,7 +402,7 @@ def _compare_protocols(suite: SuiteFolder, heads: Sequence[str], stem: Path) -> 
     shared = rows_of(suite.trials(pairs, "train", tenth=TESTING), variants, (0.0,))
     apart = rows_of(suite.trials(suite.test_set()), variants, (0.0,))
     table = protocol_table(group_by_seed(shared), group_by_seed(apart))
-    return Found([*shared, *apart], tables=[table])
+    return Findings([*shared, *apart], tables=[table])
 
 
 def protocol_table(shared: Sequence[list[Row]], apart: Sequence[list[Row]]) -> Table:
@@ -430,4 +438,5 @@ PROTOCOL = Study(
     1,
     lambda scale: scale.heads_or("regression", "mixture", "scored"),
     measure=_compare_protocols,
+    brings_tables=True,
 )

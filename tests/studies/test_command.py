@@ -16,7 +16,6 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.kept_folder import FolderLock
 from studies.api import evaluate_suite
 from studies.command import main
-from studies.downstream.suite import NAME as DOWNSTREAM
 from studies.suites import SUITES
 from tests.helpers.options import options_in
 
@@ -25,7 +24,7 @@ OPTIONS = json.loads((Path(__file__).parent / "options.json").read_text())
 
 
 def test_choices_are_all_that_there_is():
-    assert get_args(config.Suite) == (*SUITES, DOWNSTREAM)
+    assert get_args(config.Suite) == tuple(SUITES)
 
 
 def test_a_suite_has_the_options_and_defaults_that_it_has_had(capsys, monkeypatch):

@@ -1,7 +1,7 @@
 """The suite `downstream`: studies whose results bring their tables along; what is made is not made again."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import pytest
 
@@ -9,13 +9,17 @@ from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerCompariso
 from cluttergen_jax.downstream.placer.training import PlacerTraining
 from cluttergen_jax.tables import Table
 from studies.api import evaluate_suite
-from studies.downstream.placement import PLACEMENT, found_of
-from studies.downstream.suite import STUDIES, result_of
-from studies.downstream.suite_folder import Found
+from studies.downstream.placement import CAMERAS, PLACEMENT, found_of
+from studies.downstream.suite_folder import SuiteFolder
 from studies.downstream.trained import (
     PROTOCOL,
 )
 from studies.report import document, read_results, tables_of, write_report
+from studies.running import run_study
+from studies.study import Findings
+from studies.suites import DOWNSTREAM, SUITES
+
+STUDIES = {study.name: study for study in SUITES[DOWNSTREAM]}
 
 
 def comparison(queries: int) -> PlacerComparison:
@@ -28,13 +32,19 @@ def comparison(queries: int) -> PlacerComparison:
     return PlacerComparison([row], tables)
 
 
+def result_of(study, found, command, tmp_path):
+    """The result of a study that finds this."""
+    told = replace(study, measure=lambda *asked: found)
+    return run_study(SuiteFolder(tmp_path), told, (), tmp_path, "downstream", command, False)
+
+
 def test_results_are_written_read_again_and_stand_on_the_page_in_order(tmp_path):
     found = found_of([comparison(20), comparison(10)])
-    result = result_of(PLACEMENT, found, "python evaluate.py --suite downstream", quick=False)
-    later = Found(found.rows, tables=[Table("by the paper", ("a",), ())])
-    for each in (result, result_of(PROTOCOL, later, "cluttergen", quick=False)):
+    result = result_of(PLACEMENT, found, "python evaluate.py --suite downstream", tmp_path)
+    later = Findings(found.rows, tables=[Table("by the paper", ("a",), ())])
+    others = [result_of(study, later, "cluttergen", tmp_path) for study in (PROTOCOL, CAMERAS)]
+    for each in (result, *others):
         write_report(each, tmp_path)
-    write_report(result_of(STUDIES["cameras"], later, "cluttergen", quick=False), tmp_path)
     read = read_results(tmp_path)
     assert [each["name"] for each in read] == ["placement", "cameras", "protocol"]
     assert read[0] == json.loads(json.dumps(result))
