@@ -98,7 +98,14 @@ def main(config: Library) -> None:
             pool = make_pool(Path(folder), size)
             done = subprocess.run(
                 [
-                    *(sys.executable, "-m", "studies.benchmarks.library", "--case", str(pool), folder),
+                    *(
+                        sys.executable,
+                        "-m",
+                        "studies.benchmarks.library",
+                        "--case",
+                        str(pool),
+                        folder,
+                    ),
                     *("--num-scenes", str(config.num_scenes)),
                 ],
                 env=os.environ | {"JAX_COMPILATION_CACHE_DIR": f"{folder}/programs"},

@@ -11,9 +11,6 @@ import numpy as np
 
 from cluttergen_jax.assets.pool import ALL, find_pool
 from cluttergen_jax.evaluation.cells import (
-    EFFORT,
-    EFFORT_NOTES,
-    FILL,
     SPEED,
     SUCCESS,
     Column,
@@ -27,6 +24,7 @@ from cluttergen_jax.evaluation.plots import add_legend, new_figure, plot_success
 from cluttergen_jax.evaluation.records import Result, Row
 from cluttergen_jax.evaluation.trial import Trial, grid, trial_of
 from cluttergen_jax.tables import Table
+from studies.cells import EFFORT, EFFORT_NOTES, FILL
 from studies.methods.table1 import ALL_METHODS
 from studies.rankings import OURS, success_notes
 from studies.rules import RULES, margin_of, named_rows, with_seeds

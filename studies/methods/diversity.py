@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.evaluation.cells import HEAD, SCENES, Column, number_column, request_columns
+from cluttergen_jax.evaluation.cells import Column, request_columns
 from cluttergen_jax.evaluation.measures import diversity as measures
 from cluttergen_jax.evaluation.measures.arrangement import region_positions
 from cluttergen_jax.evaluation.plots import colour, grid_of_panels, label_of, save
@@ -17,6 +17,7 @@ from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.trial import Trial, grid
 from cluttergen_jax.statistics import finite
+from studies.cells import HEAD, SCENES, number_column
 from studies.measures.acceptance import Bias, acceptance_bias
 from studies.methods.density import SIZES, table_sizes
 from studies.methods.table1 import ALL_METHODS, CLUTTERGEN

@@ -5,18 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from cluttergen_jax.evaluation.cells import (
-    EFFORT,
-    EFFORT_NOTES,
-    FILL,
-    SUCCESS,
-    made_rows,
-    name_of,
-    request_columns,
-)
+from cluttergen_jax.evaluation.cells import SUCCESS, made_rows, name_of, request_columns
 from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.resolved import FIRST_SEED, NUM_VARIANTS, VARIANT_POOLS
 from cluttergen_jax.evaluation.trial import Trial, grid
+from studies.cells import EFFORT, EFFORT_NOTES, FILL
 from studies.methods.density import FILL_NOTE, table_sizes
 from studies.rankings import OURS, success_notes
 from studies.rules import RULES, named_rows, with_seeds

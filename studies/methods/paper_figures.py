@@ -9,18 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.evaluation.cells import (
-    BOTH,
-    LOOSE,
-    STEPS,
-    STRICT,
-    Column,
-    columns_of,
-    made_rows,
-    mean_and_spread,
-    request_columns,
-    share,
-)
+from cluttergen_jax.evaluation.cells import Column, made_rows, request_columns, share
 from cluttergen_jax.evaluation.plots import (
     add_legend,
     colour,
@@ -36,6 +25,7 @@ from cluttergen_jax.evaluation.trial import Trial, grid
 from cluttergen_jax.learning.training.metrics_log import read_rows
 from cluttergen_jax.learning.training.suite import DEFAULT_ATTEMPTS, TABLE_ATTEMPTS
 from cluttergen_jax.placement.baselines import BASELINES
+from studies.cells import BOTH, LOOSE, STEPS, STRICT, columns_of, mean_and_spread
 from studies.methods import table1
 from studies.methods.table1 import CLUTTERGEN, first_seed
 from studies.study import Findings, Scale, Study, of_methods

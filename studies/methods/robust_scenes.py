@@ -9,15 +9,7 @@ from pathlib import Path
 
 from cluttergen_jax.assets.pool import ALL
 from cluttergen_jax.config import TRUSTED_METHODS
-from cluttergen_jax.evaluation.cells import (
-    COST,
-    EFFORT_NOTES,
-    SUCCESS,
-    Column,
-    columns_of,
-    request_columns,
-    share_of,
-)
+from cluttergen_jax.evaluation.cells import SUCCESS, Column, request_columns, share_of
 from cluttergen_jax.evaluation.measures.robustness import (
     RobustConfig,
     robust,
@@ -26,6 +18,7 @@ from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.trial import ROBUST, Trial, grid
 from cluttergen_jax.statistics import proportion
+from studies.cells import COST, EFFORT_NOTES, columns_of
 from studies.measures.survival import PEERS
 from studies.methods.diversity import TIGHT
 from studies.methods.robustness import arrays_of, survival_of, tilt_shares

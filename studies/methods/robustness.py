@@ -10,17 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from cluttergen_jax.errors import MissingExtraError
-from cluttergen_jax.evaluation.cells import (
-    HEAD,
-    SCENES,
-    Column,
-    columns_of,
-    number,
-    number_column,
-    share,
-    share_of,
-    table_of,
-)
+from cluttergen_jax.evaluation.cells import Column, number, share, share_of, table_of
 from cluttergen_jax.evaluation.measures.contacts import contacts_of
 from cluttergen_jax.evaluation.measures.robustness import (
     TiltConfig,
@@ -38,6 +28,7 @@ from cluttergen_jax.placement.config import MIN_MARGIN
 from cluttergen_jax.statistics import finite, proportion
 from cluttergen_jax.tables import Table
 from cluttergen_jax.types import Verdict
+from studies.cells import HEAD, SCENES, columns_of, number_column
 from studies.measures.survival import PEERS, SURVIVAL_SECONDS, movement_elsewhere
 from studies.methods.diversity import TIGHT, scenes_of
 from studies.rankings import share_notes

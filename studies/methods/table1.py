@@ -11,21 +11,18 @@ from dataclasses import replace
 
 from cluttergen_jax.assets.pool import EMBEDDED
 from cluttergen_jax.evaluation.cells import (
-    LOOSE,
-    STRICT,
     Column,
     made_rows,
     name_of,
-    pooled_success,
     request_columns,
     share,
-    stable_steps,
     table_of,
 )
 from cluttergen_jax.evaluation.records import Result, Row
 from cluttergen_jax.evaluation.trial import Trial, grid, trial_of
 from cluttergen_jax.placement.baselines import BASELINES
 from cluttergen_jax.tables import Table
+from studies.cells import LOOSE, STRICT, pooled_success, stable_steps
 from studies.study import Scale, Study
 
 GROUP_OF_POOL = {

@@ -7,15 +7,9 @@ from dataclasses import replace
 
 from cluttergen_jax.assets.pool import EMBEDDED
 from cluttergen_jax.evaluation.cells import (
-    BOTH,
-    LOOSE,
-    STRICT,
     Column,
-    columns_of,
-    figures_by,
     made_rows,
     name_of,
-    pooled_success,
     request_columns,
     share,
     table_of,
@@ -26,6 +20,7 @@ from cluttergen_jax.evaluation.trial import Trial, grid, trial_of
 from cluttergen_jax.placement.region import REGION_CHANGES
 from cluttergen_jax.statistics import wilson
 from cluttergen_jax.tables import Table
+from studies.cells import BOTH, LOOSE, STRICT, columns_of, figures_by, pooled_success
 from studies.methods.density import table_sizes
 from studies.methods.pictures import render_regions
 from studies.methods.table1 import (

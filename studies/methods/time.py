@@ -10,11 +10,12 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from cluttergen_jax.evaluation.cells import Column, number_column, request_columns
+from cluttergen_jax.evaluation.cells import Column, request_columns
 from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.resolved import MissingCheckpointError
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.trial import Trial, grid
+from studies.cells import number_column
 from studies.methods.table1 import ALL_METHODS
 from studies.rankings import by_question, ranking
 from studies.rules import RULES, own_rules
