@@ -11,7 +11,6 @@ from studies.downstream.perception import PERCEPTION
 from studies.downstream.placement import CAMERAS, NOISE, PLACEMENT
 from studies.downstream.robot import REARRANGEMENT, REARRANGEMENT_ABLATIONS, ROBOT
 from studies.downstream.trained import (
-    PRETRAINED,
     PROTOCOL,
     SET_SIZE,
     SOURCE,
@@ -82,7 +81,6 @@ SUITES: dict[str, tuple[Study, ...]] = {
         SOURCE,
         TRAINING_SEEDS,
         TRANSFER,
-        PRETRAINED,
         PROTOCOL,
         PERCEPTION,
         ROBOT,

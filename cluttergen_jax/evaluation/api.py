@@ -62,8 +62,8 @@ def evaluate(
 
     Args:
       methods: "random", "clear", "drop", "spread", "guided", and policies trained for the pool: "policy",
-        "beta_free", "normal", "open_loop", "short_memory", or "beta", of which none is embedded. If not
-        given: the first five, and "policy" where one is embedded.
+        "beta_free", "normal", "open_loop" or "short_memory". If not given: the first five, and "policy"
+        where one is embedded.
       pools: names or folders, or several joined by +; dining if not given.
       supports: names or folders; "table-0.40x0.50" is a cuboid of that size, all of it the queried region.
       spec: what is asked for; its pool, support and method are rows where `pools`, `supports` and `methods`
