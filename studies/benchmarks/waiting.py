@@ -34,8 +34,6 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     ),
     "turntable": ("render", "BANK", "--turntable", "--no-picture", "--out", "OUT"),
     "heat map": ("render", "BANK", "--density", "--no-picture", "--out", "OUT"),
-    "paper suite": ("evaluate", "--suite", "paper", "--quick", "--out", "OUT"),
-    "downstream suite": ("evaluate", "--suite", "downstream", "--quick", "--out", "OUT"),
     "grasps of dining": ("robot", "grasps", "dining"),
 }
 """By row; OUT is a new folder, and BANK one of twenty scenes."""
