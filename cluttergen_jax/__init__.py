@@ -54,7 +54,6 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.assets.support_file import find_support as load_support
     from cluttergen_jax.assets.support_file import list_supports
-    from cluttergen_jax.downstream.api import evaluate_suite
     from cluttergen_jax.downstream.dataset.api import make_dataset
     from cluttergen_jax.downstream.environments.api import make_robot_env, scripted_actions
     from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
@@ -109,7 +108,6 @@ __all__ = [
     "SceneSpec",
     "certify",
     "evaluate",
-    "evaluate_suite",
     "export",
     "generate",
     "grasp_dataset",
@@ -170,7 +168,6 @@ __all__ = [
 # What is in no module of this list is in `generation`.
 _MODULES = {
     "evaluation.api": ("evaluate",),
-    "downstream.api": ("evaluate_suite",),
     "downstream.dataset.api": ("make_dataset",),
     "downstream.environments.api": ("make_robot_env", "scripted_actions"),
     "downstream.environments.randomization": ("RandomizationConfig",),

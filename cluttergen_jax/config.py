@@ -464,7 +464,8 @@ def _written(name: str, value: float) -> str:
 class ContactConfig:
     """Contact and solver parameters, the same in every engine and in every exported file.
 
-    There is no joint damping: it cannot be exported and hides creep. `benchmarks/contact.py` is the evidence.
+    There is no joint damping: it cannot be exported and hides creep.
+    `studies/benchmarks/contact.py` is the evidence.
 
     Attributes:
       friction: sliding, torsional and rolling coefficients (MuJoCo's order).

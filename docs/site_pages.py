@@ -30,7 +30,7 @@ PAGES = {
     "README.md": "index.md",
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changes.md",
-    "benchmarks/README.md": "benchmarks.md",
+    "studies/benchmarks/README.md": "benchmarks.md",
     "reports/README.md": "reports/index.md",
     "reports/results.md": "reports/results.md",
     "reports/measured.md": "reports/measured.md",

@@ -194,7 +194,7 @@ def train_suite(
     stops no other. The arguments that are not explained here are those of `train`.
 
     Args:
-      suite: "paper" or "extended": all policies that the tables of `cluttergen evaluate --suite` need. Runs
+      suite: "paper" or "extended": all policies that the tables of `python evaluate.py --suite` need. Runs
         that are done are left alone, others are taken up.
       suite_list: only list the suite's runs, with the time that they will take.
       suite_only: only the runs whose names match, such as 'dining-*' or '*-policy-0'.

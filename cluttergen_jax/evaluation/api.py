@@ -52,14 +52,12 @@ def evaluate(
     Args:
       methods: "random", "clear", "drop", "spread", "guided", and policies trained for the pool: "policy",
         "beta_free", "normal", "open_loop" or "short_memory"; or your own, as the `method` of a `SceneSpec`.
-        If not given: the first five, and "policy" where one is embedded. Of a suite, the rows that are made;
-        all if not given.
-      pools: names or folders, or several joined by +; dining if not given, and what each study asks for in a
-        suite.
+        If not given: the first five, and "policy" where one is embedded.
+      pools: names or folders, or several joined by +; dining if not given.
       supports: names or folders; "table-0.40x0.50" is a cuboid of that size, all of it the queried region.
       spec: what is asked for; its pool, support and method are rows where `pools`, `supports` and `methods`
         name none.
-      trials: scenes per row; 1000 if not given, and what each study asks for in a suite.
+      trials: scenes per row; 1000 if not given.
       seed: for the scenes.
       change: how the queried region is changed at random in every episode: "none", "translation",
         "rotation", "shrinkage", "expansion" or "all".
@@ -67,11 +65,10 @@ def evaluate(
         differ), instead of the embedded ones of single pools.
       fresh: compute rows again that are stored.
       out: where everything goes: the table, and rows, which are not made again. With None a function writes
-        nothing of a comparison; the command takes out/evaluation, and a suite out/SUITE.
+        nothing; the command takes out/evaluation.
       cluster: where rows are made: "local", Ray on this machine; "auto", the Ray cluster that this machine
         belongs to; or a cluster's address (extra `ray`). In this process if not given. All machines have to
-        see pools and checkpoints that are not embedded under the same path. Of a suite, pictures and what is
-        measured of scenes are made here.
+        see pools and checkpoints that are not embedded under the same path.
       workers: worker processes on the cluster, of `num_threads` cores each, one if that is 0; 0 takes as many
         as it has room for.
       options: fields of `SceneSpec`, in place of those of `spec`; a `checkpoint` is for the rows of the
@@ -90,9 +87,7 @@ def evaluate(
     from cluttergen_jax.assets.pool import join_pool_names
     from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.evaluation.comparison import compare, open_runner
-    from cluttergen_jax.evaluation.studies.rules import with_rules_of
-    from cluttergen_jax.evaluation.studies.study import grid
-    from cluttergen_jax.evaluation.trial import Trial
+    from cluttergen_jax.evaluation.trial import Trial, grid, with_rules_of
     from cluttergen_jax.learning.methods import methods_of
     from cluttergen_jax.placement.methods.table import entry_of, find_method, takers
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.methods.table import entry_of
 from cluttergen_jax.placement.region import find_change
+from cluttergen_jax.spec import SceneSpec
 
 MAX_TRIALS = 1_000_000
 # Of rows whose rules are not their method's own.
@@ -186,3 +188,25 @@ def key_of(trial: Trial, sources: dict[str, Any]) -> str:
     asked = {name: value for name, value in asdict(trial).items() if name not in left_out}
     text = json.dumps({"trial": asked, "sources": sources}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:20]
+
+
+def grid(base: Trial, **values: Iterable[Any]) -> tuple[Trial, ...]:
+    """The trial with every combination of the given fields' values; the last field's vary fastest."""
+    return tuple(
+        replace(base, **dict(zip(values, each, strict=True))) for each in product(*values.values())
+    )
+
+
+def with_rules_of(trial: Trial, spec: SceneSpec) -> Trial:
+    """The trial by the rules of a request, the method's own where it gives none."""
+    decided = spec.with_rules(trial.method)
+    return replace(
+        trial,
+        order=decided.order or trial.order,
+        ruin_after=decided.ruin_after or 0,
+        budget=decided.budget,
+        min_margin=decided.min_margin or 0.0,
+        height=spec.height if "height" in entry_of(trial.method).takes else "rest",
+        poses=spec.poses,
+        stability=str(spec.stability or ""),
+    )

@@ -24,7 +24,7 @@ _CALLS = {"read_pickle", "to_pickle", "loads_pickle", "unpickle"}
 
 def _files() -> list[Path]:
     programs = [*REPOSITORY.glob("*.py"), *(REPOSITORY / "examples").glob("*.py")]
-    return [*sorted(ROOT.rglob("*.py")), *programs, *(REPOSITORY / "benchmarks").glob("*.py")]
+    return [*sorted(ROOT.rglob("*.py")), *programs, *(REPOSITORY / "studies").rglob("*.py")]
 
 
 def faults_of(text: str) -> list[str]:

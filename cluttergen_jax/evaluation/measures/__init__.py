@@ -4,6 +4,5 @@ All take scenes by object index: poses f[N, K, 7] (world, metres, wxyz) and is_p
 in the compiled world; `judging.scene_models.by_object` makes them of slots.
 
 diversity: scenes as points of a space with a distance, nearest neighbours, Vendi score, entropy in plan view,
-boxes. acceptance: what passes less often than it is proposed. relations: on, in, under, leaning. survival:
-the same scenes in PyBullet or Drake. How firmly scenes stand is measured in `judging`.
+boxes. How firmly scenes stand is measured in `judging`.
 """
