@@ -291,9 +291,9 @@ def estimates_of(joints: Sequence[Joint]) -> list[str]:
         names = tuple(joint.name for joint in joints if getattr(joint, what) is None)
         missing.setdefault(names, []).append(what)
     said = []
-    for names, what in missing.items():
+    for names, kinds in missing.items():
         if names:
-            said.append(f"{', '.join(what)} of {', '.join(map(repr, names))}")
+            said.append(f"{', '.join(kinds)} of {', '.join(map(repr, names))}")
     if not said:
         return []
     return [f"its file states none, so exports as mjcf-joints estimate: {'; '.join(said)}"]
