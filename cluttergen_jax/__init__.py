@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets.support_file import find_support as load_support
     from cluttergen_jax.assets.support_file import list_supports
     from cluttergen_jax.downstream.api import evaluate_suite
-    from cluttergen_jax.downstream.dataset.api import make_dataset
+    from cluttergen_jax.api.dataset import make_dataset
     from cluttergen_jax.downstream.environments.api import make_robot_env, scripted_actions
     from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
     from cluttergen_jax.downstream.environments.world import RobotWorld, with_robot
@@ -168,7 +168,7 @@ __all__ = [
 _MODULES = {
     "evaluation.api": ("certify", "evaluate", "judge"),
     "downstream.api": ("evaluate_suite",),
-    "downstream.dataset.api": ("make_dataset",),
+    "api.dataset": ("make_dataset",),
     "downstream.environments.api": ("make_robot_env", "scripted_actions"),
     "downstream.environments.randomization": ("RandomizationConfig",),
     "downstream.environments.world": ("RobotWorld", "with_robot"),

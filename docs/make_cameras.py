@@ -10,7 +10,7 @@ from PIL import Image
 import cluttergen_jax as cg
 from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, scene_renderer
-from cluttergen_jax.rendering.sensors import palette
+from cluttergen_jax.views.images import palette
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.noise import REALSENSE, noisy

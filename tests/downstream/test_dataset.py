@@ -12,10 +12,10 @@ import pytest
 from PIL import Image
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.dataset import maker
-from cluttergen_jax.downstream.dataset.api import parse_splits
-from cluttergen_jax.downstream.dataset.files import INDEX, write_record
-from cluttergen_jax.downstream.dataset.views import ViewConfig
+from cluttergen_jax.views import dataset as maker
+from cluttergen_jax.api.dataset import parse_splits
+from cluttergen_jax.views.shards import INDEX, write_record
+from cluttergen_jax.views.maker import ViewConfig
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.scene.bank.scene import read_scenes
 from cluttergen_jax.schema import checked_record

@@ -14,7 +14,7 @@ from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.rendering.bop import SPLIT, BopDataset, add_models, model_ply
+from cluttergen_jax.views.bop import SPLIT, BopDataset, add_models, model_ply
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.sensing.camera import Camera, free
 from tests.helpers.drawing import RED, needs_gl

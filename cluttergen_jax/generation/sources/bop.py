@@ -19,8 +19,8 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import remove_partial
 from cluttergen_jax.kept_folder import FolderLock
 from cluttergen_jax.placement.rollout.replay import Replay
-from cluttergen_jax.rendering.bop import CAMERA, BopDataset
-from cluttergen_jax.rendering.bop_split import SPLIT, BopSplit, Place, SceneOrigin
+from cluttergen_jax.views.bop import CAMERA, BopDataset
+from cluttergen_jax.views.bop_split import SPLIT, BopSplit, Place, SceneOrigin
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.sensing.camera import REALSENSE_FOCAL, REALSENSE_SIZE, Camera, free
 from cluttergen_jax.sensing.camera_plan import CameraPlan

@@ -26,7 +26,7 @@ from cluttergen_jax.rendering.figure import closed_loop_figure
 from cluttergen_jax.rendering.film import replay, replay_frames, turntable
 from cluttergen_jax.rendering.gl import RendererError, find_backend
 from cluttergen_jax.rendering.scene_renderer import PictureConfig, ScenePictures
-from cluttergen_jax.rendering.sensors import camera_json, depth_png, npz_of, segmentation_png, sense
+from cluttergen_jax.views.images import camera_json, depth_png, npz_of, segmentation_png, sense
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 from cluttergen_jax.rendering.video import check_format, save_film
 from cluttergen_jax.rendering.viewer.source import SceneSource

@@ -26,7 +26,7 @@ import pyarrow.parquet as pq
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.obj import mesh_text
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.downstream.dataset.files import begin_record, dataset_folder
+from cluttergen_jax.views.shards import begin_record, dataset_folder
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping import vgn
 from cluttergen_jax.downstream.robot.grasping.clutter import (

@@ -20,7 +20,7 @@ from cluttergen_jax.rendering.scene_renderer import (
     SceneRenderer,
     scene_renderer,
 )
-from cluttergen_jax.rendering.sensors import depth_png, png_of
+from cluttergen_jax.views.images import depth_png, png_of
 from cluttergen_jax.rendering.variation import TEXTURES_OF, Appearance, draw_light
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.sensing import Camera, CameraPlan, Instance, InstanceSensor

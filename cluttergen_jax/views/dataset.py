@@ -14,7 +14,7 @@ import pyarrow as pa
 
 from cluttergen_jax.cluster import Cluster, each_on
 from cluttergen_jax.config import DatasetForm
-from cluttergen_jax.downstream.dataset.files import (
+from cluttergen_jax.views.shards import (
     SCENES_PER_SHARD,
     ShardForm,
     begin_record,
@@ -24,7 +24,7 @@ from cluttergen_jax.downstream.dataset.files import (
     shard_name,
     write_record,
 )
-from cluttergen_jax.downstream.dataset.views import ViewConfig, ViewMaker
+from cluttergen_jax.views.maker import ViewConfig, ViewMaker
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import remove_partial, write_atomically, writing
 from cluttergen_jax.kept_folder import hold

@@ -14,7 +14,7 @@ from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.rendering.config import QUALITIES, Quality
 
 if TYPE_CHECKING:
-    from cluttergen_jax.downstream.dataset.maker import Dataset
+    from cluttergen_jax.views.dataset import Dataset
 
 _SPLITS = ("train", "val", "test")
 
@@ -73,8 +73,8 @@ def make_dataset(
     """
     from cluttergen_jax.api.text import parse_size
     from cluttergen_jax.cluster import cluster_of
-    from cluttergen_jax.downstream.dataset.maker import make
-    from cluttergen_jax.downstream.dataset.views import ViewConfig
+    from cluttergen_jax.views.dataset import make
+    from cluttergen_jax.views.maker import ViewConfig
     from cluttergen_jax.rendering.gl import find_backend
     from cluttergen_jax.rendering.renderer import check_size
     from cluttergen_jax.scene.bank.remote import bank_folder

@@ -30,9 +30,9 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import folder_whole, write_atomically
 from cluttergen_jax.geometry import rotation_matrix
 from cluttergen_jax.rendering.assets import close_points
-from cluttergen_jax.rendering.bop_split import ORIGIN, SPLIT, SceneOrigin
+from cluttergen_jax.views.bop_split import ORIGIN, SPLIT, SceneOrigin
 from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, scene_renderer
-from cluttergen_jax.rendering.sensors import depth_png, png_of
+from cluttergen_jax.views.images import depth_png, png_of
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.rays import Instance, InstanceSensor
 
