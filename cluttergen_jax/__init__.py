@@ -49,13 +49,13 @@ from cluttergen_jax.api.view import view
 from cluttergen_jax.spec import SceneOptions, SceneSpec
 
 if TYPE_CHECKING:
+    from cluttergen_jax.api.dataset import make_dataset
     from cluttergen_jax.assets.pool import find_pool as load_pool
     from cluttergen_jax.assets.pool import list_pools, remove_pool
     from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.assets.support_file import find_support as load_support
     from cluttergen_jax.assets.support_file import list_supports
     from cluttergen_jax.downstream.api import evaluate_suite
-    from cluttergen_jax.api.dataset import make_dataset
     from cluttergen_jax.downstream.environments.api import make_robot_env, scripted_actions
     from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
     from cluttergen_jax.downstream.environments.world import RobotWorld, with_robot

@@ -28,7 +28,7 @@ _TINT = 0.72
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class FilmFrame:
     """One picture of a film: a style per object of the world (None: not there), lines, and words."""
 
     styles: tuple[RenderStyle | None, ...]
@@ -43,7 +43,7 @@ def _segments(attempt: Attempt, timestep: float, config: FilmConfig) -> dict[str
     return begin | ({"rest": 0.15} if attempt.is_stable else {"shown": 0.3, "fade": 0.35})
 
 
-def replay_frames(recording: Replay, config: FilmConfig | None = None) -> list[Frame]:
+def replay_frames(recording: Replay, config: FilmConfig | None = None) -> list[FilmFrame]:
     """The placement as it happened: each attempt in turn, failed ones turning red and fading away.
 
     From release to the attempt's end the frames show the simulator's own trajectory.
@@ -62,7 +62,7 @@ def replay_frames(recording: Replay, config: FilmConfig | None = None) -> list[F
     natural = sum(sum(each.values()) for each in segments)
     hold = min(1.5, 0.2 * config.seconds)
     speedup = max(1.0, natural / max(config.seconds - hold, 1e-6))
-    frames: list[Frame] = []
+    frames: list[FilmFrame] = []
     clock = 0.0
     for place, of_attempt in enumerate(segments):
         for kind, seconds in of_attempt.items():
@@ -73,7 +73,7 @@ def replay_frames(recording: Replay, config: FilmConfig | None = None) -> list[F
             for number in range(count):
                 frames.append(_frame(recording, place, kind, (number + 1) / count, config))
     last = _standing(recording, recording.poses, recording.is_placed)
-    end = Frame(last, (), *(_ending(recording) if config.captions else ("", None)))
+    end = FilmFrame(last, (), *(_ending(recording) if config.captions else ("", None)))
     return [*frames, *[end] * max(1, round(hold * config.fps))]
 
 
@@ -85,7 +85,7 @@ def _standing(
     )
 
 
-def _frame(recording: Replay, place: int, kind: str, progress: float, config: FilmConfig) -> Frame:
+def _frame(recording: Replay, place: int, kind: str, progress: float, config: FilmConfig) -> FilmFrame:
     attempt = recording.attempts[place]
     styles = list(_standing(recording, attempt.poses, attempt.is_placed))
     row = {"approach": 0, "settle": round(progress * attempt.num_steps)}.get(
@@ -107,7 +107,7 @@ def _frame(recording: Replay, place: int, kind: str, progress: float, config: Fi
         pose = attempt.settled[attempt.object_index]
     styles[attempt.object_index] = RenderStyle(pose, alpha, RED, strength)
     words = _words(recording, place, kind) if config.captions else ("", None)
-    return Frame(tuple(styles), trails, *words)
+    return FilmFrame(tuple(styles), trails, *words)
 
 
 def _words(

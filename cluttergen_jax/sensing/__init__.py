@@ -2,6 +2,7 @@
 
 from cluttergen_jax.sensing.camera import (
     REALSENSE_FOCAL,
+    REALSENSE_SIZE,
     Camera,
     find_preset,
     free,
@@ -13,6 +14,7 @@ from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE, NoiseConfig, nois
 from cluttergen_jax.sensing.partial import Grid, PartialMap, level_camera, merge_maps
 from cluttergen_jax.sensing.rays import (
     FIRST_OBJECT,
+    FLOOR,
     SUPPORT,
     DepthImage,
     Instance,
@@ -24,9 +26,11 @@ from cluttergen_jax.sensing.rays import (
 
 __all__ = [
     "FIRST_OBJECT",
+    "FLOOR",
     "NOISE_OFF",
     "REALSENSE",
     "REALSENSE_FOCAL",
+    "REALSENSE_SIZE",
     "SUPPORT",
     "Camera",
     "CameraPlan",

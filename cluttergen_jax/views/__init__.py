@@ -1,1 +1,1 @@
-"""Datasets of views: what cameras see of the scenes of banks, in files for trainers."""
+"""Views: what cameras see of scenes, by one maker, and the formats that write them."""

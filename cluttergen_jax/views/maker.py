@@ -1,226 +1,217 @@
-"""Views of scenes: colour, depth, labels and masks from cameras that are named, fixed or drawn."""
+"""The maker of views: a scene, cameras, and what they see: colours, depth, labels, silhouettes."""
 
 from __future__ import annotations
 
-import io
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
-from typing import Any
 
+import mujoco
 import numpy as np
-from PIL import Image
 
+from cluttergen_jax.assets.mjcf import VISUAL_GROUP
 from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import Variation
-from cluttergen_jax.rendering.config import QUALITIES, Quality
+from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.scene_renderer import (
     PictureConfig,
     RenderStyle,
     SceneRenderer,
+    lit_spec,
+    scene_camera,
     scene_renderer,
 )
-from cluttergen_jax.views.images import depth_png, png_of
-from cluttergen_jax.rendering.variation import TEXTURES_OF, Appearance, draw_light
-from cluttergen_jax.scene import Scene
-from cluttergen_jax.sensing import Camera, CameraPlan, Instance, InstanceSensor
+from cluttergen_jax.rendering.variation import Appearance, add_table_materials, draw_light
+from cluttergen_jax.sensing import FIRST_OBJECT, Camera, InstanceSensor
+from cluttergen_jax.views.view import View
 
-# Metres beside the region, and above and below the top: what light and shadows are made for.
-_AROUND = 0.2
-_HIGH = 0.4
+MOST_TOGETHER = 300
+"""Objects of one model, unless it is said otherwise."""
 
 
-@dataclass(frozen=True)
-class ViewConfig:
-    """How scenes are seen.
-
-    Attributes:
-      cameras: that look at each scene.
-      seed: of cameras that are drawn, and of all that varies.
-      vary: what is drawn anew for each view (`config.Variation`).
-      quality: of colours.
-      colour: draw colours, which needs OpenGL; all else needs none.
-    """
-
-    cameras: tuple[CameraPlan, ...]
-    seed: int = 0
-    vary: tuple[Variation, ...] = ()
-    quality: Quality = "draft"
-    colour: bool = True
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """What one camera sees of a scene. H rows, W columns, N objects.
-
-    Attributes:
-      scene: its number in its bank; camera: the plan's name; seen_from: where it was.
-      names, labels: of the objects, as in the bank and as people call them.
-      poses: f64[N, 7], T_world_object, metres, wxyz.
-      rgb: u8[H, W, 3]; None where no colours were drawn.
-      depth: f32[H, W], metres along the optical axis; inf where nothing is.
-      label: i32[H, W], 0 floor or nothing, 1 the support, 2 + k object k.
-      instances: of each object, masks and boxes.
-    """
-
-    scene: int
-    camera: str
-    seen_from: Camera
-    names: tuple[str, ...]
-    labels: tuple[str, ...]
-    poses: np.ndarray
-    rgb: np.ndarray | None
-    depth: np.ndarray
-    label: np.ndarray
-    instances: tuple[Instance, ...]
-
-    def row(self) -> dict[str, Any]:
-        """The view as a row of a file: images as PNG files, numbers as lists."""
-        camera = self.seen_from
-        kind = np.uint8 if self.label.max() < 256 else np.uint16
-        return {
-            "scene": self.scene,
-            "camera": self.camera,
-            "width": camera.width,
-            "height": camera.height,
-            "K": camera.K.ravel().tolist(),
-            "T_world_camera": camera.T_world_camera.ravel().tolist(),
-            "names": list(self.names),
-            "labels": list(self.labels),
-            "poses": self.poses.tolist(),
-            "visible": [each.visible_share for each in self.instances],
-            "box_visible": [_box_of(each.visible) for each in self.instances],
-            "box_amodal": [_amodal_box(each) for each in self.instances],
-            "rgb": None if self.rgb is None else png_of(Image.fromarray(self.rgb)),
-            "depth": depth_png(self.depth),
-            "label": png_of(Image.fromarray(self.label.astype(kind))),
-            "amodal": [_mask_png(each.mask) for each in self.instances],
-        }
-
-
-def _box_of(mask: np.ndarray) -> list[int]:
-    """First column and row, width and height, pixels; zeros where nothing is."""
-    rows = np.flatnonzero(mask.any(1))
-    columns = np.flatnonzero(mask.any(0))
-    if not len(rows):
-        return [0, 0, 0, 0]
-    return [int(columns[0]), int(rows[0]), int(np.ptp(columns)) + 1, int(np.ptp(rows)) + 1]
-
-
-def _amodal_box(each: Instance) -> list[int]:
-    if each.box is None:
-        return [0, 0, 0, 0]
-    left, right, upper, lower = each.box
-    return [left, upper, right - left + 1, lower - upper + 1]
-
-
-def _mask_png(mask: np.ndarray) -> bytes:
-    buffer = io.BytesIO()
-    Image.fromarray(mask).save(buffer, format="PNG")
-    return buffer.getvalue()
-
-
-@dataclass(eq=False)
 class ViewMaker:
-    """Makes the views of some scenes on one support; all their objects are uploaded once.
+    """Makes views of scenes on one support; what several of them have is uploaded once. A context manager.
 
-    A view depends on its scene, its camera, the bank's place and the seed alone.
+    `place` a scene, `dress` it if it is to vary, and `see` it from as many cameras as are wanted. Depth and
+    labels come from rays, which need no OpenGL, unless it is to measure them.
 
     Args:
-      scenes: with their numbers in the bank; `place`: of the bank among those of the dataset.
-      split_of: of a scene, for table textures that no other split has.
+      picture: of colours; its size is the largest that is seen, its view where no camera is given.
+      is_drawn: draw colours, which needs OpenGL.
+      vary: what `dress` draws anew.
+      around: f64[P, 3], what light and shadows are made for in all scenes; each scene by itself if None.
+      most_together: objects of one model, at most, if one scene has no more.
+      spec_of: makes the lit specification of objects on the support; `lit_spec`, if not given.
+      is_measured_by_gl: depth and labels are OpenGL's, of all that the specification has.
     """
 
-    scenes: Sequence[Scene]
-    config: ViewConfig
-    place: int
-    split_of: dict[int, str]
-    _objects: list[ObjectAsset] = field(default_factory=list)
-    _slots: list[list[int]] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        index: dict[tuple[str, int], int] = {}
-        for scene in self.scenes:
-            seen: dict[str, int] = {}
-            own = []
-            for asset in scene.objects:
-                key = asset.name, seen.get(asset.name, 0)
-                seen[asset.name] = key[1] + 1
-                if key not in index:
-                    index[key] = len(self._objects)
-                    self._objects.append(asset)
-                own.append(index[key])
-            self._slots.append(own)
-
-    def views(self) -> Iterator[View]:
-        """Every scene from every camera, in order."""
-        support = self.scenes[0].support
-        quality = QUALITIES[self.config.quality]
-        width, height = np.max([plan.size for plan in self.config.cameras], axis=0).tolist()
-        picture = PictureConfig(width, height, quality.samples, smoothing=quality.smoothing)
-        with ExitStack() as stack:
-            renderer = look = None
-            if self.config.colour:
-                # Alike for all scenes: shadows are the coarser the more they are made for.
-                middle = np.array([*support.region.center, support.top])
-                half = np.append(np.array(support.region.half_extents) + _AROUND, _HIGH)
-                points = np.stack([middle - half, middle + half])
-                materials = bool(self.config.vary)
-                opened = scene_renderer(self._objects, support, points, picture, materials)
-                renderer = stack.enter_context(opened)
-                model = renderer.model_renderer.model
-                is_object = np.isin(model.geom_bodyid, model.jnt_bodyid)
-                look = Appearance(model, is_object) if self.config.vary else None
-            for scene, slots in zip(self.scenes, self._slots, strict=True):
-                sensor = InstanceSensor(scene.objects, support)
-                poses = np.asarray(scene.poses, np.float64)
-                for number, plan in enumerate(self.config.cameras):
-                    rng = np.random.default_rng(
-                        [self.config.seed, self.place, scene.origin.index, number]
-                    )
-                    camera = plan.draw(support, rng)
-                    image, instances = sensor.sense(poses, camera)
-                    rgb = None
-                    if renderer is not None:
-                        rgb = self._colours(renderer, look, scene, slots, camera, rng)
-                    yield View(
-                        scene=scene.origin.index,
-                        camera=plan.name,
-                        seen_from=camera,
-                        names=tuple(scene.names),
-                        labels=tuple(asset.label for asset in scene.objects),
-                        poses=poses,
-                        rgb=rgb,
-                        depth=image.depth,
-                        label=image.label,
-                        instances=instances,
-                    )
-
-    def _colours(
+    def __init__(
         self,
-        renderer: SceneRenderer,
-        look: Appearance | None,
-        scene: Scene,
-        slots: list[int],
-        camera: Camera,
-        rng: np.random.Generator,
-    ) -> np.ndarray:
-        """u8[H, W, 3]."""
-        yaw = 0.0
-        if look is not None:
-            # Always all draws, so that what varies does not decide how.
-            texture = int(rng.choice(TEXTURES_OF[self.split_of[scene.origin.index]]))
-            light = draw_light(rng)
-            colours = look.draw_colours(rng)
-            if "texture" in self.config.vary:
-                look.set_texture(texture)
-            if "light" in self.config.vary:
-                look.set_light(light)
-                yaw = light.yaw
-            if "colour" in self.config.vary:
-                renderer.colours = colours
-        styles: list[RenderStyle | None] = [None] * len(self._objects)
-        for slot, pose in zip(slots, scene.poses, strict=True):
-            styles[slot] = RenderStyle(pose)
-        renderer.camera = camera
-        return renderer.picture(styles, light_yaw=yaw)
+        picture: PictureConfig,
+        *,
+        is_drawn: bool = True,
+        vary: Sequence[Variation] = (),
+        around: np.ndarray | None = None,
+        most_together: int = MOST_TOGETHER,
+        spec_of: Callable[[Sequence[ObjectAsset], SupportAsset], mujoco.MjSpec] = lit_spec,
+        is_measured_by_gl: bool = False,
+    ) -> None:
+        self._picture = picture
+        self._is_drawn = is_drawn
+        self._vary = frozenset(vary)
+        self._around = around
+        self._most_together = most_together
+        self._spec_of = spec_of
+        self._is_measured_by_gl = is_measured_by_gl
+        self._stack = ExitStack()
+        self._renderer: SceneRenderer | None = None
+        self._appearance: Appearance | None = None
+        self._light_yaw = 0.0
+        self._slots: dict[tuple[int, int], int] = {}
+
+    def __enter__(self) -> ViewMaker:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    @property
+    def renderer(self) -> SceneRenderer:
+        """What draws; there once a scene is placed."""
+        assert self._renderer is not None, "nothing is drawn, or no scene is placed"
+        return self._renderer
+
+    def place(
+        self,
+        objects: Sequence[ObjectAsset],
+        poses: np.ndarray,
+        support: SupportAsset,
+        is_placed: np.ndarray | None = None,
+        coming: Callable[[], Sequence[Sequence[ObjectAsset]]] = tuple,
+    ) -> None:
+        """Puts a scene before the cameras.
+
+        Args:
+          objects: N of them. poses: f[N, 7], T_world_object, metres, wxyz.
+          is_placed: bool[N], which are there, for colours and what OpenGL measures; all if None.
+          coming: gives the objects of scenes that come next; asked where something is uploaded.
+
+        Raises:
+          RendererError: colours are wanted, and nothing here can draw.
+        """
+        self._objects = tuple(objects)
+        self._poses = np.asarray(poses, np.float64).reshape(-1, 7)
+        self._support = support
+        self._sensor: InstanceSensor | None = None
+        self._is_placed = np.ones(len(self._objects), bool) if is_placed is None else is_placed
+        if not self._is_drawn:
+            return
+        keys = _keys_of(self._objects)
+        if self._renderer is None or not self._slots.keys() >= set(keys):
+            self._open([self._objects, *coming()])
+        if self._around is None:
+            self.renderer.fit(self._points())
+        self._places = [self._slots[key] for key in keys]
+
+    def dress(self, rng: np.random.Generator, textures: Sequence[int]) -> int:
+        """Draws the table's texture, light and colours for the next views; the texture's number.
+
+        All of it is drawn whatever varies, so that what varies does not decide how.
+        """
+        appearance = self._appearance
+        assert appearance is not None, "nothing varies"
+        texture = int(rng.choice(textures))
+        light = draw_light(rng)
+        colours = appearance.draw_colours(rng)
+        if "texture" in self._vary:
+            appearance.set_texture(texture)
+        if "light" in self._vary:
+            appearance.set_light(light)
+            self._light_yaw = light.yaw
+        if "colour" in self._vary:
+            self.renderer.colours = colours
+        return texture
+
+    def picture(self, camera: Camera | None = None) -> np.ndarray:
+        """u8[H, W, 3]: the colours alone; None sees the scene from the picture's view."""
+        if camera is not None:
+            self.renderer.camera = camera
+        return self.renderer.picture(self._styles(), light_yaw=self._light_yaw)
+
+    def see(self, camera: Camera | None = None, has_instances: bool = False) -> View:
+        """What a camera sees, of the picture's size at most; None sees it from the picture's view.
+
+        Args:
+          has_instances: masks and boxes of each object as well, which rays alone give.
+        """
+        camera = camera or self._own_camera()
+        rgb = self.picture(camera) if self._is_drawn else None
+        if self._is_measured_by_gl:
+            image = self.renderer.measure(self._styles())
+            return View(image.depth, self._labels(image.label), camera, rgb)
+        if self._sensor is None:
+            surfaces = not self._picture.hulls
+            self._sensor = InstanceSensor(self._objects, self._support, surfaces)
+        if not has_instances:
+            image = self._sensor.sense_scene(self._poses, camera)
+            return View(image.depth, image.label, camera, rgb)
+        image, instances = self._sensor.sense(self._poses, camera)
+        return View(image.depth, image.label, camera, rgb, instances)
+
+    def _points(self) -> np.ndarray:
+        return close_points(self._objects, self._poses, self._support)
+
+    def _own_camera(self) -> Camera:
+        if self._is_drawn:
+            return self.renderer.camera
+        return scene_camera(self._objects, self._support, self._points(), self._picture)
+
+    def _styles(self) -> list[RenderStyle | None]:
+        styles: list[RenderStyle | None] = [None] * len(self._slots)
+        for place, pose, is_there in zip(self._places, self._poses, self._is_placed, strict=True):
+            styles[place] = RenderStyle(pose) if is_there else None
+        return styles
+
+    def _labels(self, seen: np.ndarray) -> np.ndarray:
+        """Labels by the model's objects as labels by the scene's."""
+        label_of = np.arange(FIRST_OBJECT + len(self._slots), dtype=np.int32)
+        label_of[FIRST_OBJECT + np.array(self._places, int)] = FIRST_OBJECT + np.arange(
+            len(self._places)
+        )
+        return label_of[seen]
+
+    def _open(self, scenes: Sequence[Sequence[ObjectAsset]]) -> None:
+        """A model of the first scene, and of those after it for as many objects as there is room for."""
+        self._stack.close()
+        together: dict[tuple[int, int], ObjectAsset] = {}
+        for objects in scenes:
+            more = dict(zip(_keys_of(objects), objects, strict=True))
+            if together and len(together | more) > self._most_together:
+                break
+            together |= more
+        self._slots = {key: place for place, key in enumerate(together)}
+        objects = tuple(together.values())
+        spec = self._spec_of(objects, self._support)
+        if self._vary:
+            add_table_materials(spec)
+        points = self._points() if self._around is None else self._around
+        opened = scene_renderer(objects, self._support, points, self._picture, spec)
+        self._renderer = self._stack.enter_context(opened)
+        if self._vary:
+            model = self._renderer.model_renderer.model
+            is_object = np.isin(model.geom_bodyid, self._renderer.bodies)
+            if self._is_measured_by_gl:
+                # Views for perception have always drawn colours of surfaces alone, others of hulls, too.
+                is_object &= model.geom_group == VISUAL_GROUP
+            self._appearance = Appearance(model, is_object)
+
+
+def _keys_of(objects: Sequence[ObjectAsset]) -> list[tuple[int, int]]:
+    """Which asset each object is, and how many of it come before."""
+    seen: Counter[int] = Counter()
+    keys = []
+    for asset in objects:
+        keys.append((id(asset), seen[id(asset)]))
+        seen[id(asset)] += 1
+    return keys

@@ -23,11 +23,12 @@ from cluttergen_jax.downstream.perception.segment.network import (
 from cluttergen_jax.downstream.perception.segment.network_segmenter import KIND, answers_of
 from cluttergen_jax.downstream.perception.types import intersection_over_union
 from cluttergen_jax.downstream.perception.views.maker import VIEWS_A_SCENE
-from cluttergen_jax.downstream.perception.views.stage import RgbdImage, expose
+from cluttergen_jax.downstream.perception.views.stage import expose
 from cluttergen_jax.downstream.perception.views.store import StoredView, ViewSet, read_views
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, NoiseConfig, noisy
+from cluttergen_jax.views.view import View
 
 _TENTH = 10
 
@@ -104,7 +105,7 @@ def example_of(stored: StoredView, views: ViewSet, seed: int) -> SegmentExample:
     return SegmentExample(rgb, depth, height, shrink_label(stored.view.label), center)
 
 
-def simulate_camera(stored: StoredView, noise: NoiseConfig, seed: int) -> RgbdImage:
+def simulate_camera(stored: StoredView, noise: NoiseConfig, seed: int) -> View:
     """What a camera of some exposure and noise makes of a stored view; with no noise the exposure stays, too.
 
     Depth is nan where nothing was measured; labels stay exact.
@@ -118,7 +119,7 @@ def simulate_camera(stored: StoredView, noise: NoiseConfig, seed: int) -> RgbdIm
     return replace(view, rgb=rgb, depth=depth, camera=camera)
 
 
-def heights(view: RgbdImage, support: SupportAsset) -> np.ndarray:
+def heights(view: View, support: SupportAsset) -> np.ndarray:
     """f32[H, W]: metres over the table's top of what each pixel shows, nan where nothing was measured."""
     return (view.camera.points(view.depth)[..., 2] - support.top).astype(np.float32)
 

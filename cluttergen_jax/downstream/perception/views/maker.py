@@ -1,4 +1,4 @@
-"""The maker of views: draws scene, camera, arm and appearance of each, and renders blocks of them."""
+"""Views of perception data: draws scene, camera, arm and appearance of each, and makes blocks of them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from cluttergen_jax.downstream.perception.views.store import (
 from cluttergen_jax.downstream.robot.cameras import SIZE
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.rendering.variation import TEXTURES_OF, draw_light
+from cluttergen_jax.rendering.variation import TEXTURES_OF
 from cluttergen_jax.scene.bank import Bank
 from cluttergen_jax.sensing import Camera
 from cluttergen_jax.statistics import is_of_share
@@ -40,7 +40,7 @@ VIEWS_A_SCENE = 4
 
 
 @dataclass(frozen=True)
-class ViewConfig:
+class PerceptionViewConfig:
     """What views are made of.
 
     Attributes:
@@ -55,8 +55,8 @@ class ViewConfig:
             raise ConfigError(f"arm = {self.arm}", "a share from 0 to 1", "arm=0")
 
 
-class ViewMaker:
-    """Makes views of scenes; view i is the same however many are made.
+class PerceptionViews:
+    """Draws views of scenes on a stage; view i is the same however many are made.
 
     Args:
       scenes: of each bank; all of the same objects and support. stage: see `open_stage`.
@@ -67,7 +67,7 @@ class ViewMaker:
         self,
         scenes: Sequence[StableScenes],
         stage: Stage,
-        config: ViewConfig,
+        config: PerceptionViewConfig,
         split: str,
         support: Any,
         num_objects: int,
@@ -104,8 +104,8 @@ class ViewMaker:
         tool = stage.move_arm(support.top, rng if has_arm else None)
         kind = _ROBOTS[place] if is_robot else "free"
         rng = np.random.default_rng((self._config.seed, number, 4))
-        texture, yaw = self._dress(rng)
-        seen = stage.picture(self._camera(kind, poses[placed], tool, rng), yaw)
+        texture = stage.dress(rng, self._textures)
+        seen = stage.picture(self._camera(kind, poses[placed], tool, rng))
         stored = StoredView(number, seen, placed, poses[placed], scenes.method, has_arm)
         return row_of(stored, int(scenes.number[row]), texture)
 
@@ -122,16 +122,6 @@ class ViewMaker:
         turn, bank = divmod(pair, len(self._scenes))
         start = np.random.default_rng((self._config.seed, which, 5)).uniform()
         return is_of_share(turn, share, (start + bank / len(self._scenes)) % 1)
-
-    def _dress(self, rng: np.random.Generator) -> tuple[int, float]:
-        """Draws colours, texture and light; the texture's number and the lamps' turn."""
-        look = self._stage.appearance
-        texture = int(rng.choice(self._textures))
-        light = draw_light(rng)
-        self._stage.model.geom_rgba[:] = look.draw_colours(rng)
-        look.set_texture(texture)
-        look.set_light(light)
-        return texture, light.yaw
 
     def _camera(
         self, kind: Kind, poses: np.ndarray, tool: np.ndarray | None, rng: np.random.Generator
@@ -153,7 +143,7 @@ def write_views(
     banks: Mapping[str, Bank],
     split: str,
     num_views: int,
-    config: ViewConfig,
+    config: PerceptionViewConfig,
     overwrite: bool = False,
 ) -> ViewSet:
     """The views of one split in a folder, begun or continued; see `cluttergen_jax.perception_data`."""
@@ -183,11 +173,11 @@ def write_views(
             Progress(f"views of {split}", total, "view", total - sum(missing.values())) as progress,
             open_stage(views.objects, views.support, config.arm > 0) as stage,
         ):
-            maker = ViewMaker(scenes, stage, config, split, views.support, len(views.objects))
+            drawn = PerceptionViews(scenes, stage, config, split, views.support, len(views.objects))
             for block, number in missing.items():
                 rows = []
                 for view in range(block * VIEWS.block_size, block * VIEWS.block_size + number):
-                    rows.append(maker.view(view))
+                    rows.append(drawn.view(view))
                     progress.update(1)
                 VIEWS.write_block(path, split, block, pa.Table.from_pylist(rows, schema=SCHEMA))
 

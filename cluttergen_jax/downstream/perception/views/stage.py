@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
+from functools import partial
+from typing import Literal, get_args
 
 import mujoco
 import numpy as np
@@ -14,17 +15,19 @@ from scipy.spatial.transform import Rotation
 from cluttergen_jax.assets.mjcf import VISUAL_GROUP
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.config import Variation
 from cluttergen_jax.downstream.perception.types import ARM, BACKGROUND, FIRST_OBJECT
 from cluttergen_jax.downstream.robot.cameras import FOCAL, SIZE, above, wrist_camera
 from cluttergen_jax.downstream.robot.description import find_robot
 from cluttergen_jax.downstream.robot.model import Robot, with_robot
 from cluttergen_jax.downstream.transforms import rigid
-from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.lighting import add_lighting
-from cluttergen_jax.rendering.renderer import HIDDEN_GROUP, Renderer, open_renderer, set_range
-from cluttergen_jax.rendering.variation import Appearance, add_table_materials
+from cluttergen_jax.rendering.renderer import HIDDEN_GROUP
+from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.sensing import Camera, free
+from cluttergen_jax.views.maker import ViewMaker
+from cluttergen_jax.views.view import View
 
 
 def expose(rgb: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -75,7 +78,7 @@ def _draw_tool(support: SupportAsset, rng: np.random.Generator) -> np.ndarray:
 
 
 _PARKED = 60.0
-"""Metres from the table; what is not in a scene is there."""
+"""Metres from the table, where objects are before they are placed."""
 _REACH = 1.5
 _LOW = 0.25
 """Metres over the table that the tool stays, so that the arm meets no object."""
@@ -85,56 +88,43 @@ _SHADOWS = 1024
 """Pixels of a lamp's shadows; the usual 2,048 take most of a small picture's time."""
 
 
-@dataclass(frozen=True, eq=False)
-class RgbdImage:
-    """What one camera saw. H rows, W columns.
-
-    Attributes:
-      rgb: u8[H, W, 3]. depth: f32[H, W], metres along the optical axis, inf where nothing is.
-      label: u8[H, W], see `types`. camera: where it was seen from.
-    """
-
-    rgb: np.ndarray
-    depth: np.ndarray
-    label: np.ndarray
-    camera: Camera
-
-
 class Stage:
-    """See `open_stage`. `appearance` may be changed between pictures."""
+    """See `open_stage`."""
 
     def __init__(
-        self, model: mujoco.MjModel, renderer: Renderer, names: Sequence[str], has_arm: bool
+        self,
+        maker: ViewMaker,
+        objects: Sequence[ObjectAsset],
+        support: SupportAsset,
+        has_arm: bool,
     ) -> None:
-        self.model = model
-        self._renderer = renderer
-        self._data = mujoco.MjData(model)
-        self._qpos = [int(model.joint(name).qposadr[0]) for name in names]
-        self._arm = Robot.of(model) if has_arm else None
-        self._label = self._labels(names)
-        body = model.geom_bodyid
-        is_seen = model.geom_group == VISUAL_GROUP
-        self._arm_geoms = (
-            is_seen & self._arm.is_arm[body] if self._arm else np.zeros(model.ngeom, bool)
-        )
-        self.appearance = Appearance(model, is_seen & (self._label >= FIRST_OBJECT))
-
-    def _labels(self, names: Sequence[str]) -> np.ndarray:
-        label = np.full(self.model.nbody, BACKGROUND, np.uint8)
-        label[[self.model.body(name).id for name in names]] = FIRST_OBJECT + np.arange(len(names))
+        self._maker = maker
+        self._objects = tuple(objects)
+        self._support = support
+        self.place(np.zeros((len(objects), 7)), np.zeros(len(objects), bool))
+        renderer = maker.renderer
+        renderer.reach = _REACH
+        self._data = renderer.data
+        self._model = renderer.model_renderer.model
+        self._arm = Robot.of(self._model) if has_arm else None
+        is_arm = np.zeros(self._model.ngeom, bool)
         if self._arm is not None:
-            label[self._arm.is_arm] = ARM
-        return label[self.model.geom_bodyid]
+            is_arm = self._arm.is_arm[self._model.geom_bodyid]
+        self._arm_geoms = is_arm & (self._model.geom_group == VISUAL_GROUP)
+        is_object = renderer.labels >= FIRST_OBJECT
+        renderer.labels = np.where(is_arm, ARM, np.where(is_object, renderer.labels, BACKGROUND))
 
     def place(self, poses: np.ndarray, is_placed: np.ndarray) -> None:
         """Puts the objects where they stand.
 
         Args:
-          poses: f[K, 7], T_world_object; is_placed: bool[K], the others are far away.
+          poses: f[K, 7], T_world_object; is_placed: bool[K], the others are not there.
         """
-        for index, first in enumerate(self._qpos):
-            away = np.array([_PARKED + index, _PARKED, 1.0, 1.0, 0.0, 0.0, 0.0])
-            self._data.qpos[first : first + 7] = poses[index] if is_placed[index] else away
+        self._maker.place(self._objects, poses, self._support, is_placed)
+
+    def dress(self, rng: np.random.Generator, textures: Sequence[int]) -> int:
+        """See `ViewMaker.dress`."""
+        return self._maker.dress(rng, textures)
 
     def move_arm(self, top: float, rng: np.random.Generator | None) -> np.ndarray | None:
         """Shows the arm, somewhere about its home and well over the table; T_world_tool f64[4, 4].
@@ -143,10 +133,9 @@ class Stage:
           top: the height of the table. rng: None hides the arm, and there is no tool.
         """
         is_hidden = rng is None
-        self.model.geom_group[self._arm_geoms] = HIDDEN_GROUP if is_hidden else VISUAL_GROUP
-        self.model.site_group[:] = HIDDEN_GROUP if is_hidden else 0
+        self._model.geom_group[self._arm_geoms] = HIDDEN_GROUP if is_hidden else VISUAL_GROUP
+        self._model.site_group[:] = HIDDEN_GROUP if is_hidden else 0
         if self._arm is None or rng is None:
-            mujoco.mj_kinematics(self.model, self._data)
             return None
         home = np.array(find_robot().arm.home)
         for _ in range(_ARM_TRIES):
@@ -155,17 +144,15 @@ class Stage:
             )
             self._data.qpos[self._arm.qpos] = joints
             self._data.qpos[self._arm.fingers] = rng.uniform(0.0, 0.04)
-            mujoco.mj_kinematics(self.model, self._data)
+            mujoco.mj_kinematics(self._model, self._data)
             if self._arm.tool(self._data)[2, 3] > top + _LOW:
                 break
         return self._arm.tool(self._data)
 
-    def picture(self, camera: Camera, light_yaw: float = 0.0) -> RgbdImage:
-        """What a camera of `cameras.SIZE` sees now."""
-        rgb = self._renderer.average(self._data, camera, 1, _REACH, light_yaw=light_yaw)
-        depth, geom = self._renderer.measure(self._data, camera)
-        label = np.where(geom >= 0, self._label[geom], BACKGROUND).astype(np.uint8)
-        return RgbdImage(rgb, depth, label, camera)
+    def picture(self, camera: Camera) -> View:
+        """What a camera of `cameras.SIZE` sees now; labels u8[H, W], see `types`."""
+        view = self._maker.see(camera)
+        return replace(view, label=view.label.astype(np.uint8))
 
 
 @contextmanager
@@ -181,14 +168,23 @@ def open_stage(
       MissingExtraError: the arm is wanted and the extra `robot` is not installed.
       RendererError: nothing here can draw.
     """
+    with ViewMaker(
+        PictureConfig(*SIZE, samples=1),
+        vary=get_args(Variation),
+        around=_REACH * np.array([[-1, -1, 0], [1, 1, 1]]),
+        spec_of=partial(_stage_spec, has_arm),
+        is_measured_by_gl=True,
+    ) as maker:
+        yield Stage(maker, objects, support, has_arm)
+
+
+def _stage_spec(
+    has_arm: bool, objects: Sequence[ObjectAsset], support: SupportAsset
+) -> mujoco.MjSpec:
     names = tuple(asset.name for asset in objects)
     poses = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (len(names), 1))
     poses[:, 0] = _PARKED + np.arange(len(names))
     scene = Scene(names, tuple(objects), poses, support)
     spec = with_robot(scene) if has_arm else scene.to_mjspec()
-    add_table_materials(spec)
     add_lighting(spec).visual.quality.shadowsize = _SHADOWS
-    model = spec.compile()
-    set_range(model, _REACH * np.array([[-1, -1, 0], [1, 1, 1]]), CameraView(), *SIZE)
-    with open_renderer(model, *SIZE) as renderer:
-        yield Stage(model, renderer, names, has_arm)
+    return spec
