@@ -125,7 +125,7 @@ def render(
     check_importable()
     from cluttergen_jax.generation.sources.rendering import Rendering
     from cluttergen_jax.rendering.scene_renderer import PictureConfig
-    from cluttergen_jax.sensing.camera_plan import parse_cameras
+    from cluttergen_jax.sensing.camera import parse_cameras
     from cluttergen_jax.views.bop import BopConfig
 
     check_range("views", views, 1, _MOST_VIEWS, 4)

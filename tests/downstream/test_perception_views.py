@@ -13,10 +13,8 @@ from cluttergen_jax.downstream.perception.views.maker import (
     PerceptionViews,
     write_views,
 )
-from cluttergen_jax.downstream.perception.views.stage import (
-    SIZE,
-)
 from cluttergen_jax.downstream.perception.views.store import VIEWS, row_of
+from cluttergen_jax.downstream.robot.cameras import SIZE
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.views.view import View
 from tests.helpers.drawing import IS_DRAWING, STATUS, needs_gl

@@ -9,12 +9,11 @@ from cluttergen_jax.rendering import video
 from cluttergen_jax.rendering.config import FilmConfig
 from cluttergen_jax.rendering.figure import GREEN as GREEN_RING
 from cluttergen_jax.rendering.figure import closed_loop_figure
-from cluttergen_jax.rendering.film import replay, replay_frames, turntable
+from cluttergen_jax.rendering.film import replay, replay_frames, save_film, turntable
 from cluttergen_jax.rendering.scene_renderer import (
     RED,
     PictureConfig,
 )
-from cluttergen_jax.rendering.video import save_film
 from cluttergen_jax.sensing.camera import Camera
 from tests.helpers.drawing import needs_gl
 from tests.helpers.recordings import cubes

@@ -10,8 +10,8 @@ import numpy as np
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.downstream.digests import constants_hash, json_digest
 from cluttergen_jax.downstream.perception.finder import FoundScene, SceneFinder, finder_hash
-from cluttergen_jax.downstream.perception.views.stage import above, wrist_camera
 from cluttergen_jax.downstream.rearrange.observe import EpisodeView, SceneEstimate
+from cluttergen_jax.downstream.robot.cameras import above, wrist_camera
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.sensing_arm import ArmSilhouette

@@ -22,15 +22,13 @@ from cluttergen_jax.progress import track
 from cluttergen_jax.rendering.config import QUALITIES, FilmConfig, Quality
 from cluttergen_jax.rendering.density import NUM_PROPOSALS, density_figure
 from cluttergen_jax.rendering.figure import closed_loop_figure
-from cluttergen_jax.rendering.film import replay, replay_frames, turntable
+from cluttergen_jax.rendering.film import check_format, replay, replay_frames, save_film, turntable
 from cluttergen_jax.rendering.gl import RendererError, find_backend
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
-from cluttergen_jax.rendering.video import check_format, save_film
 from cluttergen_jax.rendering.viewer.source import SceneSource
 from cluttergen_jax.scene.bank.reference import missing_text
-from cluttergen_jax.sensing.camera import REALSENSE_SIZE, Camera
-from cluttergen_jax.sensing.camera_plan import CameraPlan
+from cluttergen_jax.sensing.camera import REALSENSE_SIZE, Camera, CameraPlan
 from cluttergen_jax.views.bop import BopConfig, BopScenes
 from cluttergen_jax.views.images import camera_json, depth_png, npz_of, segmentation_png
 from cluttergen_jax.views.maker import ViewMaker

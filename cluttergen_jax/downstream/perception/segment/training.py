@@ -22,8 +22,7 @@ from cluttergen_jax.downstream.perception.segment.network import (
 )
 from cluttergen_jax.downstream.perception.segment.network_segmenter import KIND, answers_of
 from cluttergen_jax.downstream.perception.types import intersection_over_union
-from cluttergen_jax.downstream.perception.views.maker import VIEWS_A_SCENE
-from cluttergen_jax.downstream.perception.views.stage import expose
+from cluttergen_jax.downstream.perception.views.maker import VIEWS_A_SCENE, expose
 from cluttergen_jax.downstream.perception.views.store import StoredView, ViewSet, read_views
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.progress import Progress
