@@ -120,6 +120,15 @@ class Camera:
         """f64[3]: where the camera is, world frame, metres."""
         return self.T_world_camera[:3, 3]
 
+    def record(self) -> dict[str, object]:
+        """As JSON files have it: width, height, K and T_world_camera."""
+        return {
+            "width": self.width,
+            "height": self.height,
+            "K": self.K.tolist(),
+            "T_world_camera": self.T_world_camera.tolist(),
+        }
+
     @property
     def rotation(self) -> np.ndarray:
         """f64[3, 3]: columns are the camera's right, down and forward in the world."""
@@ -444,7 +453,7 @@ def _place_camera(
         focal = stored.focal or REALSENSE_FOCAL * stored.width / REALSENSE_SIZE[0]
         if stored.fovy is not None:
             focal = 0.5 * stored.height / math.tan(math.radians(stored.fovy) / 2)
-        K = np.array([[focal * scale, 0, width / 2], [0, focal * scale, height / 2], [0, 0, 1.0]])
+        K = intrinsics(width, height, focal * scale)
     if stored.T_world_camera is not None:
         return Camera(width, height, K, np.array(stored.T_world_camera, np.float64))
     target = origin + stored.target

@@ -323,14 +323,16 @@ def _standing_scenes(bank: Bank, numbers: Sequence[int]) -> list[SeenScene]:
     return found
 
 
-def _stored_scenes(bank: Bank, numbers: Sequence[int]) -> Iterator[SeenScene]:
+def _stored_scenes(bank: Bank, numbers: Sequence[int]) -> list[SeenScene]:
     """Scenes with the poses that the bank stores, which a BOP dataset has digests of."""
     region = region_of(bank)
     asset_of = lru_cache(maxsize=None)(bank.object)
+    found = []
     for row in select_rows(bank, numbers):
         objects = [asset_of(base_name(name)) for name in row.objects]
         poses = np.asarray(row.poses, np.float64)
-        yield SeenScene(row.index, row.objects, objects, poses, bank.support, region)
+        found.append(SeenScene(row.index, row.objects, objects, poses, bank.support, region))
+    return found
 
 
 def _around(support: SupportAsset) -> np.ndarray:
@@ -435,9 +437,10 @@ def _make_bop(plan: DatasetPlan, out: Path) -> None:
             )
             name = bank.path.resolve().name
             with BopScenes(out, name, asked, config.picture(), config.colour) as dataset:
-                for scene in _stored_scenes(bank, chosen):
+                scenes = _stored_scenes(bank, chosen)
+                for scene in scenes:
                     dataset.plan(scene)
-                with Progress(f"views of {split}", len(chosen), "scene") as progress:
-                    for scene in _stored_scenes(bank, chosen):
+                with Progress(f"views of {split}", len(scenes), "scene") as progress:
+                    for scene in scenes:
                         dataset.add(scene)
                         progress.update(1)

@@ -97,10 +97,7 @@ def camera_json(camera: Camera, names: Sequence[str], poses: np.ndarray) -> byte
       names: of the N objects. poses: f64[N, 7], T_world_object.
     """
     record = {
-        "width": camera.width,
-        "height": camera.height,
-        "K": camera.K.tolist(),
-        "T_world_camera": camera.T_world_camera.tolist(),
+        **camera.record(),
         "depth_scale": MILLIMETRE,
         "labels": {"floor or nothing": FLOOR, "support": SUPPORT},
         "objects": [
