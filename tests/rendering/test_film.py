@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from cluttergen_jax.errors import ConfigError, MissingExtraError
-from cluttergen_jax.rendering import video
+from cluttergen_jax.rendering import film
 from cluttergen_jax.rendering.config import FilmConfig
 from cluttergen_jax.rendering.figure import GREEN as GREEN_RING
 from cluttergen_jax.rendering.figure import closed_loop_figure
@@ -122,7 +122,7 @@ def test_films_that_cannot_be_are_refused_and_leave_nothing(tmp_path, monkeypatc
     with pytest.raises(ConfigError, match="frames per second"):
         save_film(moving_square(), tmp_path / "a.gif", 120)
     monkeypatch.setitem(__import__("sys").modules, "imageio_ffmpeg", None)
-    monkeypatch.setattr(video.shutil, "which", lambda name: None)
+    monkeypatch.setattr(film.shutil, "which", lambda name: None)
     with pytest.raises(MissingExtraError, match="cluttergen_jax\\[video\\]"):
         save_film(moving_square(), tmp_path / "a.mp4", 20)
     assert list(tmp_path.iterdir()) == []
