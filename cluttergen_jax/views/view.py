@@ -55,6 +55,12 @@ class View:
     rgb: np.ndarray | None = None
     instances: tuple[Instance, ...] = ()
 
+    @property
+    def colours(self) -> np.ndarray:
+        """u8[H, W, 3], of a view that was drawn."""
+        assert self.rgb is not None, "no colours were drawn"
+        return self.rgb
+
     def mask(self, index: int) -> np.ndarray:
         """bool[H, W]: the pixels of one object."""
         return self.label == FIRST_OBJECT + index

@@ -92,7 +92,7 @@ def judge_moment(
     begun = time.process_time()
     number = len(models)
     seen = [simulate_camera(view, noise, seed) for view in views]
-    looks = [finder.look(each.rgb, each.depth, each.camera) for each in seen]
+    looks = [finder.look(each.colours, each.depth, each.camera) for each in seen]
     if true_masks:
         looks = [replace(look, label=each.label) for look, each in zip(looks, seen, strict=True)]
     labels = [each.label for each in seen]

@@ -92,7 +92,7 @@ class ViewSource:
 def example_of(stored: StoredView, views: ViewSet, seed: int) -> SegmentExample:
     """A view as a noisy camera sees it, to learn from."""
     seen = simulate_camera(stored, REALSENSE, seed)
-    rgb, depth, height = shrink(seen.rgb, seen.depth, heights(seen, views.support))
+    rgb, depth, height = shrink(seen.colours, seen.depth, heights(seen, views.support))
     center = np.zeros((len(views.names), 2), np.float32)
     camera = stored.view.camera
     if len(stored.objects):
@@ -113,7 +113,7 @@ def simulate_camera(stored: StoredView, noise: NoiseConfig, seed: int) -> View:
     rng = np.random.default_rng((seed, stored.number, 7))
     if noise == NOISE_OFF:
         return view
-    rgb = expose(view.rgb, rng)
+    rgb = expose(view.colours, rng)
     depth, camera = noisy(view.depth, view.camera, noise, rng)
     return replace(view, rgb=rgb, depth=depth, camera=camera)
 

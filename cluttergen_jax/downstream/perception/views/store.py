@@ -179,7 +179,6 @@ def row_of(stored: StoredView, scene: int, texture: int) -> dict[str, object]:
     """A view as a row of `SCHEMA`."""
     view = stored.view
     camera = stored.view.camera
-    assert view.rgb is not None
     depth = depth_levels(view.depth.astype(np.float64), TENTH_OF_A_MILLIMETRE).astype("<u2")
     return {
         "view": stored.number,
@@ -191,7 +190,7 @@ def row_of(stored: StoredView, scene: int, texture: int) -> dict[str, object]:
         "T_world_camera": camera.T_world_camera.ravel().tolist(),
         "width": camera.width,
         "height": camera.height,
-        "rgb": view.rgb.tobytes(),
+        "rgb": view.colours.tobytes(),
         "depth": depth.tobytes(),
         "label": view.label.tobytes(),
         "objects": stored.objects.tolist(),
