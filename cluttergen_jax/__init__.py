@@ -49,12 +49,12 @@ from cluttergen_jax.judging.api import certify, judge, verify
 from cluttergen_jax.spec import SceneOptions, SceneSpec
 
 if TYPE_CHECKING:
+    from cluttergen_jax.api.dataset import make_dataset
     from cluttergen_jax.assets.pool import find_pool as load_pool
     from cluttergen_jax.assets.pool import list_pools, remove_pool
     from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.assets.support_file import find_support as load_support
     from cluttergen_jax.assets.support_file import list_supports
-    from cluttergen_jax.downstream.dataset.api import make_dataset
     from cluttergen_jax.downstream.environments.api import make_robot_env, scripted_actions
     from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
     from cluttergen_jax.downstream.environments.world import RobotWorld, with_robot
@@ -168,7 +168,7 @@ __all__ = [
 # What is in no module of this list is in `generation`.
 _MODULES = {
     "evaluation.api": ("evaluate",),
-    "downstream.dataset.api": ("make_dataset",),
+    "api.dataset": ("make_dataset",),
     "downstream.environments.api": ("make_robot_env", "scripted_actions"),
     "downstream.environments.randomization": ("RandomizationConfig",),
     "downstream.environments.world": ("RobotWorld", "with_robot"),

@@ -45,7 +45,7 @@ _LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)([^)\s#]+)(#[^)\s]*)?(?=\))")
 _WIDE = "300"
 """Columns of a terminal in which an option of a command and its type are on one line."""
 _PUBLIC = ("assets", "physics", "placement", "importing", "sensing", "learning", "scene", "rendering",
-           "generation", "judging", "evaluation", "downstream")  # fmt: skip
+           "views", "generation", "judging", "evaluation", "downstream")  # fmt: skip
 """The packages whose modules are in the reference of Python."""
 
 

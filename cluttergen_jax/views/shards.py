@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -22,6 +23,9 @@ from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.kept_folder import KeptFolder, check_recipe
 from cluttergen_jax.schema import SchemaError, checked_record, digest_of, with_checksum
+from cluttergen_jax.sensing import Instance
+from cluttergen_jax.views.images import depth_png, label_image, png_of
+from cluttergen_jax.views.view import SeenScene, View
 
 ShardForm = Literal["parquet", "webdataset"]
 ENDINGS: dict[ShardForm, str] = {"parquet": "parquet", "webdataset": "tar"}
@@ -61,8 +65,52 @@ def shard_name(split: str, bank: int, shard: int, form: ShardForm) -> str:
     return f"{split}-{bank:02d}-{shard:06d}.{ENDINGS[form]}"
 
 
+def row_of(view: View, scene: SeenScene, bank: str, camera: str) -> dict[str, Any]:
+    """A view of a scene as a row of `SCHEMA`: images as PNG files, numbers as lists.
+
+    Args:
+      bank, camera: their names.
+    """
+    seen_from = view.camera
+    return {
+        "bank": bank,
+        "scene": scene.number,
+        "camera": camera,
+        "width": seen_from.width,
+        "height": seen_from.height,
+        "K": seen_from.K.ravel().tolist(),
+        "T_world_camera": seen_from.T_world_camera.ravel().tolist(),
+        "names": list(scene.names),
+        "labels": [asset.label for asset in scene.objects],
+        "poses": scene.poses.tolist(),
+        "visible": [each.visible_share for each in view.instances],
+        "box_visible": [_visible_box(each.visible) for each in view.instances],
+        "box_amodal": [_amodal_box(each) for each in view.instances],
+        "rgb": None if view.rgb is None else png_of(view.rgb),
+        "depth": depth_png(view.depth),
+        "label": png_of(label_image(view.label, view.label.max())),
+        "amodal": [png_of(each.mask) for each in view.instances],
+    }
+
+
+def _visible_box(mask: np.ndarray) -> list[int]:
+    """First column and row, width and height, pixels; zeros where nothing is."""
+    rows = np.flatnonzero(mask.any(1))
+    columns = np.flatnonzero(mask.any(0))
+    if not len(rows):
+        return [0, 0, 0, 0]
+    return [int(columns[0]), int(rows[0]), int(np.ptp(columns)) + 1, int(np.ptp(rows)) + 1]
+
+
+def _amodal_box(each: Instance) -> list[int]:
+    if each.box is None:
+        return [0, 0, 0, 0]
+    left, right, upper, lower = each.box
+    return [left, upper, right - left + 1, lower - upper + 1]
+
+
 def encode_rows(rows: Sequence[dict[str, Any]], form: ShardForm) -> bytes:
-    """The views of one shard as a file; a row is `View.row` with its bank."""
+    """The views of one shard as a file, a row of `row_of` each."""
     if form == "parquet":
         buffer = io.BytesIO()
         table = pa.Table.from_pylist(rows, schema=SCHEMA)

@@ -2,46 +2,85 @@
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
+from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.cluster import Cluster, each_on
-from cluttergen_jax.config import DatasetForm
-from cluttergen_jax.downstream.dataset.files import (
+from cluttergen_jax.config import DatasetForm, Variation
+from cluttergen_jax.errors import BankError
+from cluttergen_jax.files import remove_partial, write_atomically, writing
+from cluttergen_jax.kept_folder import hold
+from cluttergen_jax.placement.world import base_name
+from cluttergen_jax.progress import Progress
+from cluttergen_jax.rendering.config import QUALITIES, Quality
+from cluttergen_jax.rendering.scene_renderer import PictureConfig
+from cluttergen_jax.rendering.variation import TEXTURES_OF
+from cluttergen_jax.scene.bank import Bank, read_bank
+from cluttergen_jax.scene.bank.scene import read_scenes, region_of, select_rows
+from cluttergen_jax.schema import digest_of
+from cluttergen_jax.sensing import CameraPlan
+from cluttergen_jax.statistics import share_out
+from cluttergen_jax.views.bop import BopConfig, BopScenes
+from cluttergen_jax.views.maker import ViewMaker
+from cluttergen_jax.views.shards import (
     SCENES_PER_SHARD,
     ShardForm,
     begin_record,
     dataset_folder,
     encode_rows,
     is_whole_shard,
+    row_of,
     shard_name,
     write_record,
 )
-from cluttergen_jax.downstream.dataset.views import ViewConfig, ViewMaker
-from cluttergen_jax.errors import BankError
-from cluttergen_jax.files import remove_partial, write_atomically, writing
-from cluttergen_jax.kept_folder import hold
-from cluttergen_jax.progress import Progress
-from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.scene import read_scenes, region_of
-from cluttergen_jax.schema import digest_of
-from cluttergen_jax.statistics import share_out
+from cluttergen_jax.views.view import SeenScene
 
 _SPLIT_DRAW = 11
+# Metres beside the region, and above and below the top: what light and shadows are made for.
+_BESIDE = 0.2
+_HIGH = 0.4
 Runs = list[list[int]]
 """First and last of numbers without a gap, ascending."""
 
 
 @dataclass(frozen=True)
-class Dataset:
-    """A dataset that is made.
+class ViewConfig:
+    """How the scenes of a dataset are seen.
+
+    Attributes:
+      cameras: that look at each scene.
+      seed: of cameras that are drawn, and of all that varies.
+      vary: what is drawn anew for each view (`config.Variation`).
+      quality: of colours.
+      colour: draw colours, which needs OpenGL; all else needs none.
+    """
+
+    cameras: tuple[CameraPlan, ...]
+    seed: int = 0
+    vary: tuple[Variation, ...] = ()
+    quality: Quality = "draft"
+    colour: bool = True
+
+    def picture(self) -> PictureConfig:
+        """Of colours, as large as the largest of the cameras' pictures."""
+        width, height = np.max([plan.size for plan in self.cameras], axis=0).tolist()
+        quality = QUALITIES[self.quality]
+        return PictureConfig(width, height, quality.samples, smoothing=quality.smoothing)
+
+
+@dataclass(frozen=True)
+class ViewDataset:
+    """A dataset of views that is made.
 
     Attributes:
       path: its folder; form: of its files.
@@ -231,22 +270,80 @@ class ShardMaker:
         return lambda shard: sum(1 for _ in self.views(shard))
 
     def views(self, shard: Shard) -> Iterator[None]:
-        """Makes a shard; yields after each view."""
+        """Makes a shard; yields after each view.
+
+        A view depends on its scene, its camera, the bank's place, the seed, and where its colours vary on the
+        objects of the shard's scenes.
+        """
         bank = read_bank(self.banks[shard.bank])
+        name = bank.path.resolve().name
         split_of = {number: split for split, some in shard.scenes.items() for number in some}
-        # Cameras stand about the region that scenes were made in.
-        support = replace(bank.support, region=region_of(bank))
-        scenes = [replace(each, support=support) for each in read_scenes(bank, sorted(split_of))]
+        scenes = _standing_scenes(bank, sorted(split_of))
+        config = self.config
         made: dict[str, list[dict[str, Any]]] = {split: [] for split in shard.scenes}
-        for view in ViewMaker(scenes, self.config, shard.bank, split_of).views():
-            # Compressed at once: what a camera sees is some megabytes.
-            made[split_of[view.scene]].append({"bank": bank.path.resolve().name, **view.row()})
-            yield
+        with ViewMaker(
+            config.picture(),
+            is_drawn=config.colour,
+            vary=config.vary,
+            around=_around(scenes[0].support),
+            most_together=sys.maxsize,
+        ) as maker:
+            objects = [scene.objects for scene in scenes]
+            for scene in scenes:
+                split = split_of[scene.number]
+                maker.place(scene.objects, scene.poses, scene.support, coming=lambda: objects)
+                for number, plan in enumerate(config.cameras):
+                    rng = np.random.default_rng([config.seed, shard.bank, scene.number, number])
+                    camera = plan.draw(scene.support, rng)
+                    if config.vary:
+                        maker.dress(rng, TEXTURES_OF[split])
+                    view = maker.see(camera, has_instances=True)
+                    # Compressed at once: what a camera sees is some megabytes.
+                    made[split].append(row_of(view, scene, name, plan.name))
+                    yield
         for split, rows in made.items():
             data = encode_rows(rows, self.form)
             write_atomically(
                 self.out / shard_name(split, shard.bank, shard.number, self.form), data
             )
+
+
+def _standing_scenes(bank: Bank, numbers: Sequence[int]) -> list[SeenScene]:
+    """Scenes whose support has the region that they were made in."""
+    region = region_of(bank)
+    support = replace(bank.support, region=region)
+    found = []
+    for each in read_scenes(bank, numbers):
+        # With each copy quaternions are made unit ones again, to the last bit as they have always been.
+        scene = replace(each, support=support)
+        poses = np.asarray(scene.poses, np.float64)
+        found.append(
+            SeenScene(scene.origin.index, scene.names, scene.objects, poses, support, region)
+        )
+    return found
+
+
+def _stored_scenes(bank: Bank, numbers: Sequence[int]) -> list[SeenScene]:
+    """Scenes with the poses that the bank stores, which a BOP dataset has digests of."""
+    region = region_of(bank)
+    asset_of = lru_cache(maxsize=None)(bank.object)
+    found = []
+    for row in select_rows(bank, numbers):
+        objects = [asset_of(base_name(name)) for name in row.objects]
+        poses = np.asarray(row.poses, np.float64)
+        found.append(SeenScene(row.index, row.objects, objects, poses, bank.support, region))
+    return found
+
+
+def _around(support: SupportAsset) -> np.ndarray:
+    """f64[2, 3]: corners of what light and shadows of all scenes are made for.
+
+    Alike for all: shadows are the coarser the more they are made for.
+    """
+    region = support.region
+    middle = np.array([*region.center, support.top])
+    half = np.append(np.array(region.half_extents) + _BESIDE, _HIGH)
+    return np.stack([middle - half, middle + half])
 
 
 def make(
@@ -257,7 +354,7 @@ def make(
     out: Path,
     form: DatasetForm,
     cluster: Cluster | None,
-) -> Dataset:
+) -> ViewDataset:
     """A dataset in a folder, begun or continued; see `cluttergen_jax.make_dataset`."""
     recipe = DatasetPlan.of(banks, shares, num_scenes, config).recipe() | {"form": form}
     with hold(dataset_folder(out).lock()), writing(out):
@@ -280,7 +377,7 @@ def make(
         else:
             shards = _make_shards(plan, out, form, cluster, digests)
             write_record(out, record | {"shards": shards})
-    return Dataset(out, form, plan.num_views())
+    return ViewDataset(out, form, plan.num_views())
 
 
 def _make_shards(
@@ -323,30 +420,27 @@ def _num_scenes(shard: Shard) -> int:
 
 def _make_bop(plan: DatasetPlan, out: Path) -> None:
     """The scenes of each split as a folder of a BOP dataset."""
-    from cluttergen_jax.generation.sources import BankSource
-    from cluttergen_jax.generation.sources.bop import BopConfig, BopScenes
-    from cluttergen_jax.rendering.config import QUALITIES
-    from cluttergen_jax.rendering.scene_renderer import PictureConfig
-
     config = plan.config
-    quality = QUALITIES[plan.config.quality]
     for place, path in enumerate(plan.banks):
-        source = BankSource(path)
+        bank = read_bank(path)
         for split in plan.shares:
             chosen = [
-                n
+                number
                 for shard in plan.shards
                 if shard.bank == place
-                for n in shard.scenes.get(split, ())
+                for number in shard.scenes.get(split, ())
             ]
             if not chosen:
                 continue
-            width, height = config.cameras[0].size
-            picture = PictureConfig(width, height, quality.samples, smoothing=quality.smoothing)
-            asked = BopConfig(seed=config.seed, split=split, cameras=config.cameras)
-            with BopScenes(out, source.name, asked, picture, config.colour) as scenes:
-                scenes.plan((number, source.still(number)) for number in chosen)
-                with Progress(f"views of {split}", len(chosen), "scene") as progress:
-                    for number in chosen:
-                        scenes.add(source.still(number), number)
+            asked = BopConfig(
+                seed=config.seed, split=split, cameras=config.cameras, vary=config.vary
+            )
+            name = bank.path.resolve().name
+            with BopScenes(out, name, asked, config.picture(), config.colour) as dataset:
+                scenes = _stored_scenes(bank, chosen)
+                for scene in scenes:
+                    dataset.plan(scene)
+                with Progress(f"views of {split}", len(scenes), "scene") as progress:
+                    for scene in scenes:
+                        dataset.add(scene)
                         progress.update(1)

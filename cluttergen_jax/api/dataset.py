@@ -14,7 +14,7 @@ from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.rendering.config import QUALITIES, Quality
 
 if TYPE_CHECKING:
-    from cluttergen_jax.downstream.dataset.maker import Dataset
+    from cluttergen_jax.views.dataset import ViewDataset
 
 _SPLITS = ("train", "val", "test")
 
@@ -35,7 +35,7 @@ def make_dataset(
     seed: int = 0,
     cluster: str | None = None,
     workers: int = 0,
-) -> Dataset:
+) -> ViewDataset:
     """Makes what cameras see of every scene that stands (`cluttergen dataset`).
 
     A view has colour, depth, labels, each object's whole silhouette and visible share, boxes, poses, and the
@@ -53,7 +53,7 @@ def make_dataset(
         scene. `seed` draws which; scenes of a dataset that grows stay where they are.
       num_scenes: the first so many of each bank; all if not given.
       vary: what is drawn anew for each view: "texture" of the table, from other ones for each split; "light";
-        "colour" of objects and floor; nothing with "bop".
+        "colour" of objects and floor.
       quality: "draft" has sharp shadows; "fine" soft ones, for some five times the time.
       colour: draw colours, which needs OpenGL; all else needs none.
       seed: of cameras, splits and what varies, 0 to 4294967295.
@@ -73,12 +73,11 @@ def make_dataset(
     """
     from cluttergen_jax.api.text import parse_size
     from cluttergen_jax.cluster import cluster_of
-    from cluttergen_jax.downstream.dataset.maker import make
-    from cluttergen_jax.downstream.dataset.views import ViewConfig
     from cluttergen_jax.rendering.gl import find_backend
     from cluttergen_jax.rendering.renderer import check_size
     from cluttergen_jax.scene.bank.remote import bank_folder
     from cluttergen_jax.sensing import parse_cameras
+    from cluttergen_jax.views.dataset import ViewConfig, make
 
     cameras = (cameras,) if isinstance(cameras, str | Path) else cameras
     if isinstance(vary, str):
@@ -102,10 +101,11 @@ def make_dataset(
         find_backend()
     elif vary:
         raise ConfigError(f"vary = {tuple(vary)} without colours", "colours", "colour=True")
-    if form == "bop" and (vary or cluster is not None):
-        told = f"vary = {tuple(vary)}" if vary else f"cluster = {cluster!r}"
+    if form == "bop" and cluster is not None:
         raise ConfigError(
-            f"{told} with form 'bop'", "one of the two", "form='parquet' or 'webdataset'"
+            f"cluster = {cluster!r} with form 'bop'",
+            "one of the two",
+            "form='parquet' or 'webdataset'",
         )
     chosen = [banks] if isinstance(banks, str | Path) else list(banks)
     if not chosen:
