@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from cluttergen_jax.files import blobs_of
 from cluttergen_jax.importing.cache import source_files
 from cluttergen_jax.importing.limited import call_limited
 from cluttergen_jax.importing.readers import ObjectFile
@@ -32,7 +33,7 @@ def files_outside(source: ObjectFile, given: Path) -> tuple[str, ...]:
 def _files_outside(source: ObjectFile, given: Path) -> tuple[str, ...]:
     real = source.path.resolve()
     home = given.resolve() if given.is_dir() else given.absolute().parent
-    own = {home, *_blobs(home)}
+    own = {home, *blobs_of(home)}
     if not given.is_dir():
         own |= {home.resolve(), real.parent}
     if real.is_relative_to(home.resolve()):
@@ -44,12 +45,6 @@ def _files_outside(source: ObjectFile, given: Path) -> tuple[str, ...]:
         if each.is_file() and not any(each.is_relative_to(folder) for folder in own)
     }
     return tuple(sorted({public_path(each) for each in outside}))
-
-
-def _blobs(folder: Path) -> tuple[Path, ...]:
-    """Where the Hugging Face Hub's cache keeps files whose names are links to them."""
-    parents = (folder, *folder.parents)
-    return tuple(each.parent / "blobs" for each in parents if each.name == "snapshots")
 
 
 def outside_note(outside: tuple[str, ...]) -> tuple[str, ...]:
