@@ -693,7 +693,7 @@ class Blocks:
             self._digests.check(name, path)
 
     def _list(self) -> dict[int, tuple[str, int]]:
-        blocks = {name: blocks_of(name) for name in self.names()}
+        blocks = {name: file_blocks(name) for name in self.names()}
         for name, held in blocks.items():
             if not 1 <= len(held) <= _MOST_BLOCKS:
                 with self._reading(name):
@@ -714,11 +714,12 @@ class Blocks:
             except FileNotFoundError as error:
                 raise _GoneError from error
             except OSError as error:
-                given = f"{self.path / name} cannot be read ({_line(error)})"
+                reason = error.strerror or _line(error)
+                given = f"{self.path / name} cannot be read ({reason})"
                 raise self.error(given, "", self.again) from error
             rows = pq.ParquetFile(file, page_checksum_verification=True)
             number = rows.metadata.num_row_groups
-            held = len(blocks_of(name))
+            held = len(file_blocks(name))
             if number != held:
                 raise ValueError(f"its name says {held} blocks, and it holds {number}")
             self._latest = name, rows
@@ -927,7 +928,7 @@ def files_of_rows(folder: Path) -> list[str]:
     return names or []
 
 
-def blocks_of(name: str) -> range:
+def file_blocks(name: str) -> range:
     """The blocks of a file of rows, by its name."""
     match = _FILE.fullmatch(name)
     return range(int(match[1]), int(match[2] or match[1]) + 1) if match else range(0)

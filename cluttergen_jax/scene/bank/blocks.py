@@ -23,7 +23,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from cluttergen_jax.bank_reader import Blocks, RowDigests, blocks_of, files_of_rows
+from cluttergen_jax.bank_reader import Blocks, RowDigests, file_blocks, files_of_rows
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import check_regular, file_whole, inside, write_atomically, writing
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
@@ -68,7 +68,7 @@ class StoredBlocks(Blocks):
         Raises:
           BankError: there is none, the file cannot be read, is damaged, or does not hold what its name says.
         """
-        return next(self.tables(blocks=[block]))
+        return next(self.read(partial(_checked, None), blocks=[block]))
 
     def tables(
         self, columns: Sequence[str] | None = None, blocks: Iterable[int] | None = None
@@ -82,11 +82,12 @@ class StoredBlocks(Blocks):
         Raises:
           BankError: as `read_block`.
         """
-        return self.read(partial(_checked, columns), columns, blocks)
+        held = None if blocks is None else sorted(set(blocks).intersection(self.places))
+        return self.read(partial(_checked, columns), columns, held)
 
     def names(self) -> Iterable[str]:
         """The files of rows of the folder, and of where it is from."""
-        elsewhere = filter(blocks_of, self.remote.sizes()) if self.remote else ()
+        elsewhere = filter(file_blocks, self.remote.sizes()) if self.remote else ()
         return {*super().names(), *elsewhere}
 
     def open_file(self, name: str) -> pa.NativeFile:
@@ -191,7 +192,7 @@ def block_files(path: Path) -> dict[str, range]:
 
 
 def _block_files(names: Iterable[str]) -> dict[str, range]:
-    return {name: blocks for name in names if (blocks := blocks_of(name))}
+    return {name: blocks for name in names if (blocks := file_blocks(name))}
 
 
 def is_shard(blocks: range) -> bool:

@@ -16,7 +16,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from cluttergen_jax.bank_reader import blocks_of
+from cluttergen_jax.bank_reader import file_blocks
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import inside
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
@@ -59,7 +59,7 @@ def without_digests(bank: Bank) -> str:
     """
     if bank.files is None:
         return "files"
-    return "" if any(blocks_of(name) for name in bank.files) else "rows"
+    return "" if any(file_blocks(name) for name in bank.files) else "rows"
 
 
 def changes_of(bank: Bank) -> list[Change] | None:
@@ -83,7 +83,7 @@ def _changes_of(bank: Bank) -> list[Change] | None:
     stored = StoredBlocks(bank.path)
     found = []
     for name in known:
-        if blocks_of(name):
+        if file_blocks(name):
             now = stored.digest(name)
         else:
             file = inside(bank.path, name)
@@ -94,7 +94,7 @@ def _changes_of(bank: Bank) -> list[Change] | None:
     there = [each.relative_to(bank.path).as_posix() for each in files if each.is_file()]
     there += stored.file_names if without_digests(bank) == "" else []
     found += [Change(name, "not in bank.json") for name in there if name not in known]
-    if not any(blocks_of(change.name) for change in found):
+    if not any(file_blocks(change.name) for change in found):
         found += _unlike_rows(bank, known.keys() - {change.name for change in found})
     return sorted(found, key=lambda change: change.name)
 
@@ -153,7 +153,7 @@ def changes_to_scene(changes: Iterable[Change], file: str, objects: Iterable[str
     block = int(stem) // BLOCK_SIZE if (stem := Path(file).stem).isdecimal() else -1
 
     def is_of_scene(parts: Sequence[str]) -> bool:
-        if blocks := blocks_of(parts[0]):
+        if blocks := file_blocks(parts[0]):
             return block in blocks
         if parts[0] == _SCENES:
             return parts[1:] == [file]
