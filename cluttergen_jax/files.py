@@ -91,8 +91,9 @@ def inside(folder: str | os.PathLike[str], name: object) -> Path:
         )
     path = Path(folder).joinpath(*parts)
     real = Path(os.path.realpath(path))
-    caches = [Path(os.path.realpath(each.parent)) / each.name for each in blobs_of(Path(folder))]
-    if not any(real.is_relative_to(each) for each in (os.path.realpath(folder), *caches)):
+    roots = [Path(os.path.realpath(folder))]
+    roots += [Path(os.path.realpath(each.parent)) / each.name for each in blobs_of(Path(folder))]
+    if not any(real.is_relative_to(each) for each in roots):
         raise UnsafePathError(
             f"{path} is a link that leads out of {folder}",
             "files and folders of its own",
