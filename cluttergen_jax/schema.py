@@ -121,7 +121,7 @@ def _unpacked(data: bytes, most: int) -> bytes:
     except (OSError, EOFError, zlib.error) as error:
         raise SchemaError("it is damaged") from error
     if len(found) > most:
-        raise SchemaError(f"it unpacks to more than {most:,} bytes")
+        raise SchemaError(f"it unpacks to more than {most >> 20} MB")
     return found
 
 

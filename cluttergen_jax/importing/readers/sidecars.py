@@ -315,6 +315,8 @@ def _keys_of(family: Family, entry: Any) -> Iterator[tuple[str, str, Any]]:
 @lru_cache(maxsize=8)
 def _parsed(path: Path, time: int, size: int) -> tuple[Any, str]:
     """A file's JSON as of a time, and why there is none; NaN is judged where it stands."""
+    if size > _MAX_BYTES:
+        return None, f"it holds {size >> 20} MB"
     try:
         return schema.read_json(path, allow_nan=True, most=_MAX_BYTES), ""
     except OSError as error:
