@@ -237,8 +237,6 @@ class Bank:
         self.recipe: dict[str, Any] = self.record["recipe"]
         self.num_asked: int = self.record["num_scenes"]
         self._assets: dict[str, Asset] = {}
-        self._latest: tuple[str, Any] = ("", None)
-        self._sound: set[str] = set()
 
     def __repr__(self) -> str:
         return f"Bank({str(self.path)!r}, {len(self)} of {self.num_asked} scenes)"
@@ -250,7 +248,9 @@ class Bank:
     def __iter__(self) -> Iterator[Scene]:
         """All scenes that are there, failures included, in order."""
         return (
-            scene for rows in self._read(self._convert, _COLUMNS) for scene in self._scenes(rows)
+            scene
+            for rows in self._blocks.read(self._convert, _COLUMNS)
+            for scene in self._scenes(rows)
         )
 
     def successes(self) -> Iterator[Scene]:
@@ -266,18 +266,24 @@ class Bank:
                 else "none yet"
             )
             raise BankError(f"{self.path} has no scene {index}", held, "a number of `bank.indices`")
-        (rows,) = self._read(self._convert, _COLUMNS, [int(index) // _BLOCK_SIZE])
+        (rows,) = self._blocks.read(self._convert, _COLUMNS, [int(index) // _BLOCK_SIZE])
         return next(scene for scene in self._scenes(rows) if scene.index == index)
 
     @cached_property
     def indices(self) -> np.ndarray:
         """i64, sorted: the numbers of the scenes that are there."""
-        return np.concatenate([np.zeros(0, np.int64), *map(self._indices_of, list(self._places))])
+        numbers = map(self._blocks.numbers, list(self._blocks.places))
+        return np.concatenate([np.zeros(0, np.int64), *numbers])
+
+    @cached_property
+    def _blocks(self) -> Blocks:
+        digests = RowDigests(self.record["files"], lambda: _read_record(self.path)["files"])
+        return Blocks(self.path, digests)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """The objects that `object_index` numbers; not every one of them is in a scene."""
-        found = self._read(
+        found = self._blocks.read(
             lambda rows: pc.unique(pc.list_flatten(rows["objects"])).to_pylist(), ("objects",)
         )
         names = self.recipe.get("names") or [name for each in found for name in each]
@@ -306,7 +312,7 @@ class Bank:
     @cached_property
     def arrays(self) -> SceneArrays:
         """All scenes that succeeded, as arrays of NumPy (BankError: there are none)."""
-        parts = list(self._read(self._convert, _COLUMNS))
+        parts = list(self._blocks.read(self._convert, _COLUMNS))
         if not any(rows.is_success.any() for rows in parts):
             raise BankError(
                 f"{self.path}: none of its {len(self)} scenes succeeded", "", "more scenes"
@@ -483,7 +489,7 @@ class Bank:
         used: set[str] = set()
         number = 0
         half = self.region["half_extents"]
-        for rows in self._read(self._convert, _COLUMNS):
+        for rows in self._blocks.read(self._convert, _COLUMNS):
             verdicts.update(rows.verdict.tolist())
             placed = np.unique(rows.object_index[rows.is_placed])
             used.update(self.names[each].partition("#")[0] for each in placed)
@@ -504,144 +510,13 @@ class Bank:
         lines["scenes"] += rest if len(self) < self.num_asked else ""
         return "".join(f"{name:10} {_printable(text)}\n" for name, text in lines.items())
 
-    @cached_property
-    def _places(self) -> dict[int, tuple[str, int]]:
-        """By block, in order: its file, and its row group there."""
-        names = before = None
-        # A listing that is made while a writer exchanges files may have neither the old ones nor the new one.
-        for _ in range(_TRIES):
-            before, names = names, sorted(filter(_FILE.fullmatch, os.listdir(self.path)))
-            if names == before:
-                break
-        blocks = {name: _blocks_of(name) for name in names or ()}
-        for name, held in blocks.items():
-            if not 1 <= len(held) <= _MOST_BLOCKS:
-                with _reading(self.path / name):
-                    raise ValueError(
-                        f"its name says {len(held)} blocks; a file has 1 to {_MOST_BLOCKS}"
-                    )
-        places: dict[int, tuple[str, int]] = {}
-        # A file of one block was written after one of many that holds it too.
-        for name in sorted(blocks, key=lambda name: (len(blocks[name]) == 1, blocks[name][-1])):
-            places.update({block: (name, group) for group, block in enumerate(blocks[name])})
-        return dict(sorted(places.items()))
-
-    def _open(self, name: str) -> Any:
-        if self._latest[0] != name:
-            try:
-                path = _regular_file(self.path, name)
-                self._check_digest(name, path)
-                file = pa.OSFile(str(path.absolute()))
-            except FileNotFoundError as error:
-                raise _GoneError from error
-            except OSError as error:
-                given = f"{self.path / name} cannot be read ({_line(error)})"
-                raise BankError(given, "", _AGAIN) from error
-            rows = pq.ParquetFile(file, page_checksum_verification=True)
-            number = rows.metadata.num_row_groups
-            held = len(_blocks_of(name))
-            if number != held:
-                raise ValueError(f"its name says {held} blocks, and it holds {number}")
-            self._latest = name, rows
-        return self._latest[1]
-
-    def _of_block(self, block: int, use: Callable[[str], Any]) -> Any:
-        """What `use` makes of the file of a block.
-
-        A writer may put blocks into another file after they were listed: listing and reading are one step,
-        which is done again. Damaged is what was read, and is not what was written.
-        """
-        for _ in range(_TRIES):
-            if block not in self._places:
-                break
-            name = self._places[block][0]
-            try:
-                with _reading(self.path / name):
-                    return use(name)
-            except _GoneError:
-                self.__dict__.pop("_places", None)
-        raise BankError(f"{self.path / f'scenes-{block:06d}.parquet'} is missing", "", _AGAIN)
-
-    def _check_digest(self, name: str, path: Path) -> None:
-        """ValueError if a file of rows, read for the first time, is not what was written."""
-        known = self.record["files"]
-        for _ in range(_REWRITES):
-            # Of a file without a digest, which may be large, nothing is known that it could be held against.
-            if name in self._sound or name not in known or known[name] == _digest_of(path):
-                self._sound.add(name)
-                return
-            # It may have been written again since the bank was opened.
-            known = _read_record(self.path)["files"]
-        raise ValueError("it is not what was written")
-
-    def _indices_of(self, block: int) -> np.ndarray:
-        return self._of_block(block, lambda name: self._numbers_in(name, block))
-
-    def _numbers_in(self, name: str, block: int) -> np.ndarray:
-        """The numbers of a block's scenes, as its file states them (ValueError: more than there can be)."""
-        group = self._open(name).metadata.row_group(self._places[block][1])
-        # What it states of its columns is not asked: Arrow ends the process where that is damaged.
-        if not (0 < group.num_rows <= _BLOCK_SIZE and 0 <= group.total_byte_size <= _MOST_UNPACKED):
-            raise ValueError(
-                f"block {block} has {group.num_rows} scenes, {group.total_byte_size} bytes"
-            )
-        return block * _BLOCK_SIZE + np.arange(group.num_rows)
-
-    def _read(
-        self,
-        convert: Callable[[pa.Table], Any],
-        columns: Sequence[str],
-        blocks: Iterable[int] | None = None,
-    ) -> Iterator[Any]:
-        """What `convert` makes of rows, some thousand at a time, of all blocks or these."""
-        rest = list(self._places if blocks is None else blocks)
-
-        def together(name: str) -> list[int]:
-            kept = (self._places.get(each, ("", 0))[0] == name for each in rest)
-            run = takewhile(
-                lambda each: next(kept) and each // _AT_ONCE == rest[0] // _AT_ONCE, rest
-            )
-            return list(run)
-
-        def read(name: str) -> Any:
-            numbers = together(name)
-            groups = [self._places[block][1] for block in numbers]
-            # Before anything is allocated: it checks the sizes that the file states.
-            indices = np.concatenate([self._numbers_in(name, block) for block in numbers])
-            rows = self._open(name).read_row_groups(
-                groups, list({"index": 0, **dict.fromkeys(columns)})
-            )
-            rows.validate(full=True)
-            if not np.array_equal(rows["index"], indices):
-                raise ValueError("its scenes are not those that its name says")
-            return numbers, convert(rows)
-
-        while rest:
-            numbers, made = self._of_block(rest[0], read)
-            rest = rest[len(numbers) :]
-            yield made
-
     def _convert(self, table: pa.Table) -> _Rows:
-        """Rows as arrays (ValueError: they are none of a bank)."""
+        """Rows as arrays (ValueError: they name an object that the bank does not)."""
         columns = {name: table[name].combine_chunks() for name in _COLUMNS}
         objects, is_placed, poses = (pc.list_flatten(columns[name]) for name in _LISTS)
-        numbers = pc.list_flatten(poses)
-        flat = {**columns, "objects": objects, "is_placed": is_placed, "poses": numbers}
-        strange = [name for name, is_kind in _KINDS.items() if not is_kind(flat[name].type)]
-        if strange:
-            raise ValueError(f"its column {strange[0]!r} is of another type")
-        if any(each.null_count for each in (*columns.values(), objects, is_placed, poses, numbers)):
-            raise ValueError("it has gaps")
-        num_slots = np.stack(
-            [np.array(pc.list_value_length(columns[name]), np.int64) for name in _LISTS]
-        )
+        num_slots = np.array(pc.list_value_length(columns["objects"]), np.int64)
         is_there = np.array(is_placed, bool)
-        places = np.array(numbers, np.float32).reshape(-1, 7)
-        if (num_slots != num_slots[0]).any() or len(places) != len(is_there):
-            raise ValueError("its lists of objects are of different lengths")
-        turns = np.linalg.norm(places[is_there, 3:], axis=1)
-        if not (np.isfinite(places[is_there, :3]).all() and (np.abs(turns - 1) < 1e-3).all()):
-            raise ValueError("an object was placed at a pose that is none")
+        places = np.array(pc.list_flatten(poses), np.float32).reshape(-1, 7)
         coded = objects.dictionary_encode()
         known = {name: number for number, name in enumerate(self.names)}
         object_index = np.array(
@@ -652,17 +527,8 @@ class Bank:
         object_index = object_index[np.array(coded.indices)]
         index = np.array(columns["index"], np.int64)
         is_success = np.array(columns["is_success"], bool)
-        row = np.repeat(np.arange(len(index)), num_slots[0])
-        pairs = np.stack([row, object_index])[:, is_there]
-        if np.unique(pairs, axis=1).shape != pairs.shape:
-            raise ValueError("it has an object twice in one scene")
-        is_sure = is_success[row]
-        if not is_there[is_sure].all():
-            raise ValueError("a scene that succeeded lacks an object")
-        if (np.abs(places[is_sure, :3]) > _FAR).any():
-            raise ValueError(f"an object of a scene that succeeded is farther away than {_FAR:g} m")
         verdict = np.array(columns["verdict"].to_pylist(), object)
-        return _Rows(index, is_success, verdict, num_slots[0], object_index, is_there, places)
+        return _Rows(index, is_success, verdict, num_slots, object_index, is_there, places)
 
     def _scenes(self, rows: _Rows) -> Iterator[Scene]:
         ends = np.cumsum(rows.num_slots)
@@ -713,6 +579,230 @@ class Bank:
             if digest not in (None, _digest_of(_regular_file(self.path, name))):
                 raise ValueError("it is not what was written")
         return path
+
+
+class RowDigests:
+    """Whether files of rows are what was written; each is hashed once, when it is first read.
+
+    Args:
+      known: digests by name, as `bank.json` states them; a file without one passes.
+      again: what it states now, should one not fit.
+    """
+
+    def __init__(self, known: dict[str, str], again: Callable[[], dict[str, str]]) -> None:
+        self._known = known
+        self._again = again
+        self._sound: set[str] = set()
+
+    def check(self, name: str, path: Path) -> None:
+        """ValueError if a file is not what was written."""
+        known = self._known
+        for _ in range(_REWRITES):
+            # Of a file without a digest, which may be large, nothing is known that it could be held against.
+            if name in self._sound or name not in known or known[name] == _digest_of(path):
+                self._sound.add(name)
+                return
+            # It may have been written again since the bank was opened.
+            known = self._again()
+        raise ValueError("it is not what was written")
+
+
+class Blocks:
+    """The rows of a bank's folder, by blocks of 256 scenes: where each lies at one time, and its rows.
+
+    A writer may put blocks into another file after they were listed: listing and reading are one step, which
+    is done again. Damaged is what was read, and is not what was written.
+
+    Args:
+      path: the folder.
+      digests: what its files of rows are held against; None for nothing.
+
+    Attributes:
+      places: by block, in order: its file, and its row group there.
+
+    Raises:
+      BankError: of the kind `error`; a file's name states more blocks than a file has, or none.
+    """
+
+    error: type[Exception] = BankError
+    again = _AGAIN
+
+    def __init__(self, path: Path, digests: RowDigests | None = None) -> None:
+        self.path = path
+        self._digests = digests
+        self._latest: tuple[str, Any] = ("", None)
+        self.places = self._list()
+
+    def numbers(self, block: int) -> np.ndarray:
+        """i64: the numbers of a block's scenes, as its file states them."""
+        return self._use(block, lambda name: self._numbers_in(name, block))
+
+    def read(
+        self,
+        convert: Callable[[pa.Table], Any],
+        columns: Sequence[str] | None = None,
+        blocks: Iterable[int] | None = None,
+    ) -> Iterator[Any]:
+        """What `convert` makes of rows, some thousand at a time, every value of theirs looked at.
+
+        Args:
+          columns: those that are wanted beside `index`, all if None; blocks: likewise.
+
+        Raises:
+          BankError: of the kind `error`; a block is missing or damaged, or `convert` refuses its rows.
+        """
+        rest = list(self.places if blocks is None else blocks)
+
+        def together(name: str) -> list[int]:
+            kept = (self.places.get(each, ("", 0))[0] == name for each in rest)
+            run = takewhile(
+                lambda each: next(kept) and each // _AT_ONCE == rest[0] // _AT_ONCE, rest
+            )
+            return list(run)
+
+        def read(name: str) -> Any:
+            numbers = together(name)
+            groups = [self.places[block][1] for block in numbers]
+            # Before anything is allocated: it checks the sizes that the file states.
+            indices = np.concatenate([self._numbers_in(name, block) for block in numbers])
+            wanted = None if columns is None else list({"index": 0, **dict.fromkeys(columns)})
+            rows = self._open(name).read_row_groups(groups, wanted)
+            rows.validate(full=True)
+            check_rows(rows, indices)
+            return numbers, convert(rows)
+
+        while rest:
+            numbers, made = self._use(rest[0], read)
+            rest = rest[len(numbers) :]
+            yield made
+
+    def names(self) -> Iterable[str]:
+        """The files of rows that are there now."""
+        return files_of_rows(self.path)
+
+    def open_file(self, name: str) -> Any:
+        """A file of rows for Arrow (FileNotFoundError, OSError, ValueError: it cannot be read)."""
+        path = _regular_file(self.path, name)
+        self.check_digest(name, path)
+        # pyarrow takes a relative path with a colon in it for a URL.
+        return pa.OSFile(str(path.absolute()))
+
+    def check_digest(self, name: str, path: Path) -> None:
+        """ValueError if a file of rows, read for the first time, is not what was written."""
+        if self._digests is not None:
+            self._digests.check(name, path)
+
+    def _list(self) -> dict[int, tuple[str, int]]:
+        blocks = {name: file_blocks(name) for name in self.names()}
+        for name, held in blocks.items():
+            if not 1 <= len(held) <= _MOST_BLOCKS:
+                with self._reading(name):
+                    raise ValueError(
+                        f"its name says {len(held)} blocks; a file has 1 to {_MOST_BLOCKS}"
+                    )
+        places: dict[int, tuple[str, int]] = {}
+        # A file of one block was written after one of many that holds it too.
+        for name in sorted(blocks, key=lambda name: (len(blocks[name]) == 1, blocks[name][-1])):
+            places.update({block: (name, group) for group, block in enumerate(blocks[name])})
+        return dict(sorted(places.items()))
+
+    def _open(self, name: str) -> Any:
+        # One at a time: blocks are read in order, and each open file costs memory.
+        if self._latest[0] != name:
+            try:
+                file = self.open_file(name)
+            except FileNotFoundError as error:
+                raise _GoneError from error
+            except OSError as error:
+                reason = error.strerror or _line(error)
+                given = f"{self.path / name} cannot be read ({reason})"
+                raise self.error(given, "", self.again) from error
+            rows = pq.ParquetFile(file, page_checksum_verification=True)
+            number = rows.metadata.num_row_groups
+            held = len(file_blocks(name))
+            if number != held:
+                raise ValueError(f"its name says {held} blocks, and it holds {number}")
+            self._latest = name, rows
+        return self._latest[1]
+
+    def _use(self, block: int, use: Callable[[str], Any]) -> Any:
+        """What `use` makes of the file of a block."""
+        for _ in range(_TRIES):
+            if block not in self.places:
+                break
+            name = self.places[block][0]
+            try:
+                with self._reading(name):
+                    return use(name)
+            except _GoneError:
+                self.places = self._list()
+        raise self.error(f"{self.path / f'scenes-{block:06d}.parquet'} is missing", "", self.again)
+
+    def _reading(self, name: str) -> Any:
+        return _reading(self.path / name, self.error, self.again)
+
+    def _numbers_in(self, name: str, block: int) -> np.ndarray:
+        """The numbers of a block's scenes, as its file states them (ValueError: more than there can be)."""
+        group = self._open(name).metadata.row_group(self.places[block][1])
+        # What it states of its columns is not asked: Arrow ends the process where that is damaged.
+        if not (0 < group.num_rows <= _BLOCK_SIZE and 0 <= group.total_byte_size <= _MOST_UNPACKED):
+            raise ValueError(
+                f"block {block} has {group.num_rows} scenes, {group.total_byte_size} bytes"
+            )
+        return block * _BLOCK_SIZE + np.arange(group.num_rows)
+
+
+def check_rows(table: pa.Table, indices: np.ndarray) -> None:
+    """ValueError if these are not the rows of these scenes, as far as the columns that are there tell."""
+    if not np.array_equal(table["index"], indices):
+        raise ValueError("its scenes are not those that its name says")
+    columns = {
+        name: table[name].combine_chunks() for name in _COLUMNS if name in table.schema.names
+    }
+    flat = {name: pc.list_flatten(columns[name]) for name in _LISTS if name in columns}
+    if "poses" in flat:
+        # Poses are lists in lists: slots, and seven numbers each.
+        flat["numbers"] = pc.list_flatten(flat["poses"])
+    values = {**columns, **flat, "poses": flat.get("numbers")}
+    for name in columns:
+        if not _KINDS[name](values[name].type):
+            raise ValueError(f"its column {name!r} is of another type")
+    if any(each.null_count for each in (*columns.values(), *flat.values())):
+        raise ValueError("it has gaps")
+    lists = [columns[name] for name in _LISTS if name in columns]
+    num_slots = [np.array(pc.list_value_length(each), np.int64) for each in lists]
+    if any((each != num_slots[0]).any() for each in num_slots):
+        raise ValueError("its lists of objects are of different lengths")
+    if "objects" in flat:
+        known = pc.unique(flat["objects"]).to_pylist()
+        strange = [name for name in known if not _NAME.fullmatch(name)]
+        if strange:
+            raise ValueError(f"it names an object {strange[0]!r}")
+    if "is_placed" not in flat:
+        return
+    is_placed = np.array(flat["is_placed"], bool)
+    row = np.repeat(np.arange(table.num_rows), num_slots[0])
+    is_sure = np.zeros(len(row), bool)
+    if "is_success" in columns:
+        is_sure = np.array(columns["is_success"], bool)[row]
+    if "objects" in flat:
+        pairs = np.stack([row, np.array(flat["objects"].dictionary_encode().indices)])[:, is_placed]
+        if np.unique(pairs, axis=1).shape != pairs.shape:
+            raise ValueError("it has an object twice in one scene")
+    if not is_placed[is_sure].all():
+        raise ValueError("a scene that succeeded lacks an object")
+    if "poses" in flat:
+        numbers = np.array(flat["numbers"], np.float32)
+        if len(numbers) != 7 * len(is_placed):
+            raise ValueError("its lists of objects are of different lengths")
+        poses = numbers.reshape(-1, 7)
+        if not np.isfinite(poses[is_placed]).all():
+            raise ValueError("an object that was placed has a pose that is not finite")
+        turns = np.linalg.norm(poses[is_placed, 3:], axis=1)
+        if not (np.abs(turns - 1) < 1e-3).all():
+            raise ValueError("an object that was placed has a quaternion that is not of length 1")
+        if (np.abs(poses[is_sure, :3]) > _FAR).any():
+            raise ValueError(f"an object of a scene that succeeded is farther away than {_FAR:g} m")
 
 
 def _mjcf(
@@ -825,7 +915,20 @@ def _line(error: BaseException) -> str:
     return " ".join(str(error).split())
 
 
-def _blocks_of(name: str) -> range:
+def files_of_rows(folder: Path) -> list[str]:
+    """The names of the files of rows in a folder, sorted; none if there is no folder."""
+    names: list[str] | None = None
+    # A listing that is made while a writer exchanges files may have neither the old ones nor the new one.
+    for _ in range(_TRIES):
+        before = names
+        found = os.listdir(folder) if folder.is_dir() else []
+        names = sorted(filter(_FILE.fullmatch, found))
+        if names == before:
+            break
+    return names or []
+
+
+def file_blocks(name: str) -> range:
     """The blocks of a file of rows, by its name."""
     match = _FILE.fullmatch(name)
     return range(int(match[1]), int(match[2] or match[1]) + 1) if match else range(0)
@@ -966,13 +1069,13 @@ _CAUSES = (
 
 
 @contextmanager
-def _reading(path: Path) -> Iterator[None]:
-    """Inside, whatever a damaged file causes becomes a BankError that names it."""
+def _reading(path: Path, kind: type[Exception] = BankError, again: str = _AGAIN) -> Iterator[None]:
+    """Inside, whatever a damaged file causes becomes an error, a BankError by default, that names it."""
     try:
         yield
     except _CAUSES as error:
         reason = f"no {error}" if isinstance(error, KeyError) else _line(error)
-        raise BankError(f"{path} is damaged ({reason})", "", _AGAIN) from error
+        raise kind(f"{path} is damaged ({reason})", "", again) from error
 
 
 def _read_record(path: Path) -> dict[str, Any]:
@@ -983,32 +1086,54 @@ def _read_record(path: Path) -> dict[str, Any]:
             f"{path} is not a bank: it has no bank.json", "a folder of `cluttergen generate`"
         )
     with _reading(index):
-        record = _parse(_regular_file(path, "bank.json").read_bytes())
-        number = record["format"]
-        if isinstance(number, int) and number > FORMAT:
-            given = (
-                f"{path} was made by a newer version (format {number}; this file reads {FORMAT})"
-            )
-            raise BankError(given, "", "the bank_reader.py of a newer cluttergen_jax")
-        digest = record.pop("hash", None)
-        if digest not in (
-            None,
-            hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest(),
-        ):
-            raise ValueError("it does not match its own digest")
-        objects = record.setdefault("assets", {"objects": {}})["objects"]
-        parts = (objects, record["recipe"], record.setdefault("files", {}))
-        asked = record["num_scenes"]
-        if (
-            number != FORMAT
-            or not all(isinstance(each, dict) for each in parts)
-            or not all(isinstance(digest, str) for digest in record["files"].values())
-            or isinstance(asked, bool)
-            or not isinstance(asked, int)
-            or asked < 1
-        ):
-            raise ValueError(f"it is not the record of a bank of format {FORMAT}")
+        try:
+            record = parse_record(_regular_file(path, "bank.json").read_bytes())
+        except NewerFormatError as error:
+            given = f"{path} was made by a newer version ({error}; this file reads {FORMAT})"
+            hint = "the bank_reader.py of a newer cluttergen_jax"
+            raise BankError(given, "", hint) from error
+    record.setdefault("assets", {"objects": {}})
+    record.setdefault("files", {})
     return record
+
+
+class NewerFormatError(ValueError):
+    """The record of a bank that a newer version made."""
+
+
+def parse_record(data: bytes) -> dict[str, Any]:
+    """The record that `bank.json` holds, without its digest (NewerFormatError, ValueError, TypeError,
+    LookupError, RecursionError: it is none)."""
+    record = _parse(data)
+    number = record["format"]
+    if isinstance(number, int) and number > FORMAT:
+        raise NewerFormatError(f"format {number}")
+    if number != FORMAT:
+        raise ValueError(f"it is not the record of a bank of format {FORMAT}")
+    if record.pop("hash", None) not in (None, digest_of_record(record)):
+        raise ValueError("it does not match its own digest")
+    check_record(record)
+    return record
+
+
+def digest_of_record(record: Any) -> str:
+    """The digest of all else in a record, which stands in it as `hash`."""
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
+
+
+def check_record(record: dict[str, Any]) -> None:
+    """ValueError if what a record says is not what a bank's says."""
+    number = record.get("num_scenes")
+    if isinstance(number, bool) or not isinstance(number, int) or number < 1:
+        raise ValueError(f"num_scenes is {number!r}")
+    if not isinstance(record.get("recipe"), dict):
+        raise ValueError("it has no recipe")
+    assets = record.get("assets", {"objects": {}})
+    if not isinstance(assets, dict) or not isinstance(assets.get("objects"), dict):
+        raise ValueError("its digests of assets are not understood")
+    files = record.get("files", {})
+    if not isinstance(files, dict) or not all(isinstance(each, str) for each in files.values()):
+        raise ValueError("its digests of files are not understood")
 
 
 def main(words: Sequence[str] | None = None) -> int:

@@ -80,7 +80,7 @@ def inside(folder: str | os.PathLike[str], name: object) -> Path:
 
     Raises:
       UnsafePathError: the name is no plain one (absolute, `..`, a drive, not a text at all), or a link on the
-        way leads out of the folder.
+        way leads out of the folder, and not into the cache that it is a snapshot of (`blobs_of`).
     """
     parts = name.split("/") if isinstance(name, str) else [""]
     if any(part in ("", ".", "..") or _STRANGE.search(part) for part in parts):
@@ -90,13 +90,26 @@ def inside(folder: str | os.PathLike[str], name: object) -> Path:
             _STRANGER,
         )
     path = Path(folder).joinpath(*parts)
-    if not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder)):
+    real = Path(os.path.realpath(path))
+    roots = [Path(os.path.realpath(folder))]
+    roots += [Path(os.path.realpath(each.parent)) / each.name for each in blobs_of(Path(folder))]
+    if not any(real.is_relative_to(each) for each in roots):
         raise UnsafePathError(
             f"{path} is a link that leads out of {folder}",
             "files and folders of its own",
             _STRANGER,
         )
     return path
+
+
+def blobs_of(folder: Path) -> tuple[Path, ...]:
+    """Where the Hugging Face Hub's cache keeps the files of a snapshot, in which they are links.
+
+    They belong to the folder as if they lay in it; none where it is no snapshot.
+    """
+    path = folder.absolute()
+    snapshots = [each for each in (path, *path.parents) if each.name == "snapshots"]
+    return tuple(each.parent / "blobs" for each in snapshots)
 
 
 MOST_WORDS = 64 << 20

@@ -6,12 +6,16 @@ the file's name and what to try. Files of older versions have no checksum; the o
 
 from __future__ import annotations
 
+import gzip
 import hashlib
+import io
 import json
 import math
 import os
 import re
 import tomllib
+import zlib
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -20,7 +24,7 @@ import msgspec
 import numpy as np
 import yaml
 
-from cluttergen_jax.files import fault_of_file
+from cluttergen_jax.files import MOST_WORDS, fault_of_file
 
 T = TypeVar("T")
 Record = dict[str, Any]
@@ -38,48 +42,87 @@ class SchemaError(ValueError):
     """A file does not say what its reader expects; the text says where and what."""
 
 
-def parse_json(data: bytes, allow_nan: bool = False) -> Any:
-    """What JSON says; text behind it, and unless they are allowed numbers that are none (NaN), are not JSON.
-
-    Raises:
-      SchemaError: it is none.
-    """
-    try:
-        return json.loads(data) if allow_nan else msgspec.json.decode(data)
-    except (ValueError, RecursionError) as error:
-        raise SchemaError(f"not JSON: {error or 'nested too deeply'}") from error
-
-
 _MOST_DEEP = 50
-"""Lists and mappings within each other, in what people write."""
+"""Lists and mappings within each other."""
 
 
-def parse_written_json(data: bytes) -> Any:
-    """What JSON that people write says: as `parse_json`, and a key that comes twice is refused.
+def parse_json(data: bytes, allow_nan: bool = False) -> Any:
+    """What JSON says, each key once.
+
+    Args:
+      allow_nan: it may hold numbers that are none (NaN, Infinity) or beyond any, as others write them.
 
     Raises:
-      SchemaError: it is none, has a key twice, or is nested too deeply.
+      SchemaError: it is none, has a key twice, is nested too deeply, or has a text or a number that is none.
     """
+    parse_float = float if allow_nan else _finite
+    parse_constant = float if allow_nan else _refuse_constant
     try:
-        value = json.loads(data, object_pairs_hook=_unique, parse_constant=_no_number)
-    except (ValueError, RecursionError) as error:
-        raise SchemaError(f"not JSON: {error or 'nested too deeply'}") from error
+        value = json.loads(
+            data,
+            object_pairs_hook=_unique,
+            parse_float=parse_float,
+            parse_constant=parse_constant,
+        )
+        if _ESCAPED.search(data):
+            # Half a pair of UTF-16 can be written as an escape, and is no text.
+            json.dumps(value, ensure_ascii=False).encode()
+    except RecursionError as error:
+        raise SchemaError("not JSON: nested too deeply") from error
+    except ValueError as error:
+        raise SchemaError(f"not JSON: {error}") from error
     _check_depth(value)
     return value
+
+
+_ESCAPED = re.compile(rb"\\u[dD]")
+
+
+_LONGEST_KEY = 60
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> Record:
     found = dict(pairs)
     if len(found) < len(pairs):
-        keys = [key for key, _ in pairs]
-        raise ValueError(
-            f"the key {next(key for key in keys if keys.count(key) > 1)!r} comes twice"
-        )
+        keys = Counter(key for key, _ in pairs)
+        raise ValueError(f"the key {keys.most_common(1)[0][0][:_LONGEST_KEY]!r} comes twice")
     return found
 
 
-def _no_number(text: str) -> None:
+def _finite(text: str) -> float:
+    number = float(text)
+    return number if math.isfinite(number) else _refuse_constant(text)
+
+
+def _refuse_constant(text: str) -> float:
     raise ValueError(f"{text} is no number of JSON")
+
+
+def read_json(path: str | os.PathLike[str], allow_nan: bool = False, most: int = MOST_WORDS) -> Any:
+    """What a JSON file of other people says, packed (.gz) or not; see `parse_json`.
+
+    Args:
+      most: bytes that it may have, packed and unpacked.
+
+    Raises:
+      SchemaError: it is no regular file, too large, damaged or no JSON; the text does not name it.
+      OSError: it cannot be opened.
+    """
+    data = read_written(path, most)
+    if str(path).endswith(".gz"):
+        data = _unpacked(data, most)
+    return parse_json(data, allow_nan)
+
+
+def _unpacked(data: bytes, most: int) -> bytes:
+    try:
+        with gzip.open(io.BytesIO(data)) as file:
+            found = file.read(most + 1)
+    except (OSError, EOFError, zlib.error) as error:
+        raise SchemaError("it is damaged") from error
+    if len(found) > most:
+        raise SchemaError(f"it unpacks to more than {most >> 20} MB")
+    return found
 
 
 def _check_depth(value: Any) -> None:
@@ -198,25 +241,17 @@ class _YamlLoader(yaml.SafeLoader):
             )
 
 
-def read_written(path: str | os.PathLike[str]) -> bytes:
-    """The bytes of a file that people write.
+def read_written(path: str | os.PathLike[str], most: int = MOST_WORDS) -> bytes:
+    """The bytes of a file that people write, `most` of them.
 
     Raises:
       SchemaError: it is no regular file, or too large; the text does not name it.
       OSError: it cannot be opened.
     """
-    if fault := fault_of_file(path):
+    if fault := fault_of_file(path, most):
         raise SchemaError(fault)
     with open(path, "rb") as file:
         return file.read()
-
-
-def _lenient(data: bytes) -> Any:
-    """`parse_json`, with NaN and Infinity."""
-    try:
-        return json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise SchemaError(f"not JSON: {error}") from error
 
 
 def convert(value: Any, kind: type[T]) -> T:
@@ -252,6 +287,11 @@ def with_checksum(record: Mapping[str, Any], allow_nan: bool = False) -> Record:
     """A record of JSON values with its checksum."""
     plain = json.loads(json.dumps(record, allow_nan=allow_nan))
     return {**plain, CHECKSUM: _digest(plain)}
+
+
+def record_bytes(record: Mapping[str, Any], allow_nan: bool = False) -> bytes:
+    """The file of a record, with its checksum; `checked_record` reads it."""
+    return (json.dumps(with_checksum(record, allow_nan), indent=1) + "\n").encode()
 
 
 def checked_record(data: bytes, allow_nan: bool = False) -> Record:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import errno
 import hashlib
 import importlib.resources
-import json
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -35,7 +34,7 @@ from cluttergen_jax.assets.object_files import (
 from cluttergen_jax.errors import ClutterGenError, PoolError, closest, first_names
 from cluttergen_jax.files import folder_whole, inside, read_regular, scratch_folder, writing
 from cluttergen_jax.kept_folder import PATIENCE, hold, lock_beside
-from cluttergen_jax.schema import SchemaError, checked_record, convert, with_checksum
+from cluttergen_jax.schema import SchemaError, checked_record, convert, record_bytes
 
 EMBEDDED = ("dining", "study", "office", "kitchen", "household")
 ALL = "all"
@@ -214,9 +213,7 @@ def _write_folder(path: Path, pool: Pool, overwrite: bool) -> None:
         fresh.mkdir()
         for asset in pool.objects:
             write_object(fresh / asset.name, asset)
-        (fresh / _INDEX).write_text(
-            json.dumps(with_checksum(_index(pool)), indent=1) + "\n", encoding="utf-8"
-        )
+        (fresh / _INDEX).write_bytes(record_bytes(_index(pool)))
 
 
 def _index(pool: Pool) -> dict[str, Any]:

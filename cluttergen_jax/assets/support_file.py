@@ -40,8 +40,8 @@ from cluttergen_jax.schema import (
     convert,
     digest_of,
     parse_json,
+    record_bytes,
     refuse,
-    with_checksum,
 )
 
 FORMAT = 1
@@ -79,9 +79,7 @@ def write_support(folder: str | Path, support: SupportAsset, *, overwrite: bool 
         record = _record(support) | {
             "files": {name: digest_of(data) for name, data in files.items()}
         }
-        (fresh / _RECORD).write_text(
-            json.dumps(with_checksum(record), indent=1) + "\n", encoding="utf-8"
-        )
+        (fresh / _RECORD).write_bytes(record_bytes(record))
     return folder
 
 

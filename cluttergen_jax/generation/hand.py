@@ -162,7 +162,7 @@ class HandBank:
         if index % BLOCK_SIZE == 0:
             return row
         before = (
-            StoredBlocks.of(self._writer.path).read(index // BLOCK_SIZE).select(row.schema.names)
+            StoredBlocks(self._writer.path).read_block(index // BLOCK_SIZE).select(row.schema.names)
         )
         return pa.concat_tables([before.cast(row.schema), row]).combine_chunks()
 
@@ -205,7 +205,7 @@ def hand_setup(spec: SceneSpec) -> Setup:
 
 def _num_rows(path: Path) -> int:
     """The scenes that a bank holds; BankError where its last block is damaged."""
-    stored = StoredBlocks.of(path)
+    stored = StoredBlocks(path)
     if not stored.places:
         return 0
     last = max(stored.places)

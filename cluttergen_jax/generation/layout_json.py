@@ -12,7 +12,7 @@ import numpy as np
 
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.geometry import product, rotation_matrix, turn_between
-from cluttergen_jax.schema import SchemaError, parse_written_json, read_written
+from cluttergen_jax.schema import SchemaError, read_json
 
 FORM = '{"pool": "dining", "support": "table", "objects": [{"name": "mug", "position": [0.1, 0, 0.75]}]}'
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -86,7 +86,7 @@ def read_layout_json(path: Path) -> LayoutFile:
       ConfigError: it is no layout, has a key that is not known, or says two things of one object.
     """
     try:
-        record = parse_written_json(read_written(path))
+        record = read_json(path)
     except (SchemaError, OSError) as error:
         raise ConfigError(f"{path} is no layout ({error})", f"JSON such as {FORM}") from error
     if not isinstance(record, dict):

@@ -16,7 +16,7 @@ from typing import Any
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import read_object, write_object
 from cluttergen_jax.errors import ClutterGenError, first_names
-from cluttergen_jax.files import cache_home, remove, scratch_folder
+from cluttergen_jax.files import blobs_of, cache_home, remove, scratch_folder
 from cluttergen_jax.importing.limited import call_limited
 from cluttergen_jax.importing.readers import ObjectFile
 from cluttergen_jax.importing.readers.mesh_file import companions
@@ -173,7 +173,7 @@ def files_outside(source: ObjectFile, given: Path) -> tuple[str, ...]:
 def _files_outside(source: ObjectFile, given: Path) -> tuple[str, ...]:
     real = source.path.resolve()
     home = given.resolve() if given.is_dir() else given.absolute().parent
-    own = {home, *_blobs(home)}
+    own = {home, *blobs_of(home)}
     if not given.is_dir():
         own |= {home.resolve(), real.parent}
     if real.is_relative_to(home.resolve()):
@@ -185,12 +185,6 @@ def _files_outside(source: ObjectFile, given: Path) -> tuple[str, ...]:
         if each.is_file() and not any(each.is_relative_to(folder) for folder in own)
     }
     return tuple(sorted({public_path(each) for each in outside}))
-
-
-def _blobs(folder: Path) -> tuple[Path, ...]:
-    """Where the Hugging Face Hub's cache keeps files whose names are links to them."""
-    parents = (folder, *folder.parents)
-    return tuple(each.parent / "blobs" for each in parents if each.name == "snapshots")
 
 
 def outside_note(outside: tuple[str, ...]) -> tuple[str, ...]:

@@ -6,9 +6,7 @@ A layout says which files are models, what is no table-top object, and what the 
 
 from __future__ import annotations
 
-import json
 import os
-import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -19,13 +17,11 @@ from typing import Any
 
 import msgspec
 
-from cluttergen_jax.errors import AssetError, ConfigError
-from cluttergen_jax.files import MOST_WORDS
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions
-from cluttergen_jax.importing.readers.opening import gunzip, read_file
 from cluttergen_jax.importing.readers.source import label_of
 from cluttergen_jax.importing.settings import did_you_mean
-from cluttergen_jax.schema import convert, parse_yaml
+from cluttergen_jax.schema import convert, parse_yaml, read_json
 
 AUTO = "auto"
 NONE = "none"
@@ -192,7 +188,6 @@ def _look_up(where: Lookup, path: Path) -> str:
 def _json(path: Path, time: int) -> Any:
     """A JSON file's content as of a time; None if it cannot be read."""
     try:
-        data = read_file(path, MOST_WORDS)
-        return json.loads(gunzip(data) if path.suffix == ".gz" else data)
-    except (AssetError, OSError, ValueError, EOFError, RecursionError, zlib.error):
+        return read_json(path, allow_nan=True)
+    except (OSError, ValueError):
         return None

@@ -82,7 +82,7 @@ def _certify(
 ) -> Certification:
     index = BankIndex.of(bank)
     certifier = Certifier.of(bank, seconds, jobs)
-    blocks = _Blocks(StoredBlocks.of(bank.path), seconds, force)
+    blocks = _Blocks(bank.blocks(), seconds, force)
     num_new = 0
     with Progress("certifying", bank.num_scenes, "scene", blocks.num_done) as progress:
         if cluster is None:
@@ -118,7 +118,7 @@ class _Blocks(Sequence[pa.Table]):
         self.num_done = 0
         self.numbers = list[int]()
         for number in stored.places:
-            rows = stored.read(number)
+            rows = stored.read_block(number)
             if force or not is_fully_certified(rows, seconds):
                 self.numbers.append(number)
             else:
@@ -128,7 +128,7 @@ class _Blocks(Sequence[pa.Table]):
         return len(self.numbers)
 
     def __getitem__(self, place: Any) -> Any:
-        return self._stored.read(self.numbers[place])
+        return self._stored.read_block(self.numbers[place])
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ import numpy as np
 
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import ConfigError, closest
-from cluttergen_jax.schema import SchemaError, convert, parse_written_json, read_written
+from cluttergen_jax.schema import SchemaError, convert, read_json
 
 # Width, height and focal length in pixels of the depth image of an Intel RealSense D435.
 REALSENSE_SIZE = (640, 480)
@@ -378,7 +378,7 @@ def _plans_by_name(text: str, size: Size | None) -> list[CameraPlan]:
 
 def _read_file(path: Path, size: Size | None) -> list[CameraPlan]:
     try:
-        found = convert(parse_written_json(read_written(path)), _File)
+        found = convert(read_json(path), _File)
     except OSError as error:
         raise ConfigError(
             f"{path} cannot be read ({error.strerror})", "a JSON file of cameras", _HINT

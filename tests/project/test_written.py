@@ -8,7 +8,7 @@ from cluttergen_jax.downstream.robot.description import read_robot
 from cluttergen_jax.errors import ClutterGenError, ConfigError
 from cluttergen_jax.generation.layouts import read_layout
 from cluttergen_jax.importing.settings import read_settings
-from cluttergen_jax.schema import SchemaError, parse_toml, parse_written_json, parse_yaml
+from cluttergen_jax.schema import SchemaError, parse_json, parse_toml, parse_yaml
 from cluttergen_jax.sensing.camera import parse_cameras
 
 MERGED = "l0: &l0 {a: 1}\n" + "".join(
@@ -57,13 +57,15 @@ def test_sound_yaml_is_what_it_says():
         ('{"a": NaN}', "NaN"),
         ("[" * 51 + "]" * 51, "more than 50 deep"),
         ("[" * 100_000, "not JSON"),
+        ('{"a": 1e999}', "1e999 is no number"),
+        (r'{"a": "\ud800"}', "surrogates not allowed"),
         ("9" * 5000, "not JSON"),
         ('{"a": 1} x', "not JSON"),
     ],
 )
 def test_json_has_each_key_once_and_an_end(text, said):
     with pytest.raises(SchemaError, match=said):
-        parse_written_json(text.encode())
+        parse_json(text.encode())
 
 
 @pytest.mark.parametrize(

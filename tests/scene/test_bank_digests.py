@@ -137,7 +137,7 @@ def renamed(rows):
 
 @pytest.mark.parametrize("change", [moved, renamed])
 def test_rows_that_were_changed_are_named_do_not_count_and_are_mended(bank, whole, capsys, change):
-    table = StoredBlocks.of(bank).read(0)
+    table = StoredBlocks(bank).read_block(0)
     record = {k: v for k, v in read_bank(bank).record.items() if k not in ("num_scenes", "files")}
     banks.write_rows(
         bank, 0, table.from_pylist(change(table.to_pylist()), schema=table.schema), record
@@ -145,11 +145,11 @@ def test_rows_that_were_changed_are_named_do_not_count_and_are_mended(bank, whol
     assert verify(bank) == 1
     assert f"  {ROWS}: changed\n" in (out := capsys.readouterr().out)
     assert "0 of 2 scenes stand" in out
-    with pytest.raises(BankError, match=rf"{ROWS} \(changed\)"):
+    with pytest.raises(BankError, match=rf"{ROWS} is damaged \(it is not what was written\)"):
         check_whole(read_bank(bank))
     with banks.writer(bank, 3) as writer:
         assert not writer.has_block(0, 3)
-        writer.write_block(0, StoredBlocks.of(whole).read(0))
+        writer.write_block(0, StoredBlocks(whole).read_block(0))
     assert all_bytes(bank) == all_bytes(whole)
 
 

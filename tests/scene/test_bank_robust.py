@@ -83,7 +83,11 @@ def test_damage_is_named_and_the_same_command_mends_it(bank, whole, name, harm):
 
 def test_a_block_under_another_name_is_noticed(bank):
     shutil.copy(block_path(bank, 0), block_path(bank, 1))
-    with pytest.raises(BankError, match="not those from 256 on"):
+    with pytest.raises(BankError, match="not what was written"):
+        _ = read_bank(bank).table
+    record = read_bank(bank).record
+    (bank / "bank.json").write_bytes(index_bytes({**record, "files": {}}))
+    with pytest.raises(BankError, match="scenes are not those that its name says"):
         _ = read_bank(bank).table
 
 

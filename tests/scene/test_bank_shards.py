@@ -117,8 +117,8 @@ def test_a_damaged_row_group_is_named_and_mended_alone(sharded, tmp_path):
     file.write_bytes(data)
     with pytest.raises(BankError, match=r"scenes-000003-000005\.parquet is damaged"):
         _ = read_bank(path).table
-    stored = StoredBlocks.of(path)
-    assert stored.read(3).num_rows == stored.read(5).num_rows == BLOCK_SIZE
+    stored = StoredBlocks(path)
+    assert stored.read_block(3).num_rows == stored.read_block(5).num_rows == BLOCK_SIZE
     # Others of its shard cannot be moved without it.
     assert not write_shard(path, range(3, 6), read_bank(path).record)
     write(path)
@@ -130,7 +130,7 @@ def test_a_writer_that_is_killed_between_rows_and_digest_leaves_nothing_that_loo
 ):
     write(tmp_path)
     index = BankIndex.of(read_bank(tmp_path))
-    rows = StoredBlocks.of(tmp_path).read(7)
+    rows = StoredBlocks(tmp_path).read_block(7)
     shake = pa.array(np.ones(rows.num_rows, np.float32))
     rows = rows.set_column(rows.schema.names.index("shake"), "shake", shake)
     index.write_block(7, rows)

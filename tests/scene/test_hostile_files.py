@@ -27,6 +27,7 @@ from cluttergen_jax.scene.bank.record import index_bytes
 from cluttergen_jax.scene.bank.scene import read_scenes, region_of
 from cluttergen_jax.scene.bank.table import SCHEMA
 from cluttergen_jax.scene.export import FORMATS, export_scenes
+from cluttergen_jax.schema import digest_of
 from tests.helpers import banks
 from tests.helpers.worlds import box, trio
 
@@ -73,7 +74,7 @@ def rename_in_bank(bank, old, new):
     record["assets"]["objects"].pop(old)
     record["assets"]["objects"][new] = digest
     record["files"] |= digests_in(bank, "assets")
-    rows = StoredBlocks.of(bank).read(0).select(SCHEMA.names).to_pylist()
+    rows = StoredBlocks(bank).read_block(0).select(SCHEMA.names).to_pylist()
     for row in rows:
         row["objects"] = [new if name == old else name for name in row["objects"]]
     banks.write_rows(bank, 0, pa.Table.from_pylist(rows, schema=SCHEMA), record)
@@ -81,7 +82,8 @@ def rename_in_bank(bank, old, new):
 
 
 def sign_index(bank, record):
-    record["files"] = {name: d for name, d in record["files"].items() if (bank / name).is_file()}
+    there = [name for name in record["files"] if (bank / name).is_file()]
+    record["files"] = {name: digest_of((bank / name).read_bytes()) for name in there}
     (bank / "bank.json").write_bytes(index_bytes(record))
 
 
@@ -138,9 +140,10 @@ def test_rows_and_records_name_objects_plainly(bank, name):
     with pytest.raises(BankError, match="names an object"):
         read_bank(bank)
     (bank / "bank.json").write_bytes(index_bytes(record))
-    rows = StoredBlocks.of(bank).read(0).select(SCHEMA.names).to_pylist()
+    rows = StoredBlocks(bank).read_block(0).select(SCHEMA.names).to_pylist()
     rows[0]["objects"] = [name, name]
     banks.write_rows(bank, 0, pa.Table.from_pylist(rows, schema=SCHEMA), record)
+    sign_index(bank, record)
     if name != "mug#2":
         with pytest.raises(BankError, match="names an object"):
             _ = read_bank(bank).table

@@ -16,7 +16,7 @@ import pytest
 from cluttergen_jax import bank_reader
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError, ClutterGenError, printable
-from cluttergen_jax.scene.bank import blocks, read_bank
+from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.record import index_bytes
 from cluttergen_jax.scene.bank.scene import read_scenes
 from cluttergen_jax.scene.bank.stats import stats_of
@@ -124,16 +124,16 @@ def test_a_name_that_states_more_blocks_than_its_file_has_is_refused(bank, read,
         read(bank)
 
 
-def test_blocks_in_a_falling_order_are_refused_by_the_reader_that_travels(bank):
+@BOTH
+def test_blocks_in_a_falling_order_are_refused(bank, read, error):
     (bank / ROWS).rename(bank / "scenes-000005-000002.parquet")
-    with pytest.raises(bank_reader.BankError, match="its name says 0 blocks"):
-        read_alone(bank)
+    with pytest.raises(error, match="its name says 0 blocks"):
+        read(bank)
 
 
 @BOTH
 def test_a_block_that_is_too_large_is_refused_before_it_is_unpacked(bank, read, error, monkeypatch):
     monkeypatch.setattr(bank_reader, "_MOST_UNPACKED", 100)
-    monkeypatch.setattr(blocks, "_MOST_UNPACKED", 100)
     with pytest.raises(error, match=r"8 scenes, \d+ bytes"):
         read(bank)
 
@@ -211,22 +211,26 @@ def test_numbers_of_objects_lie_within_the_record(bank):
         read_here(bank)
 
 
-def test_the_reader_that_travels_knows_digests_of_rows(bank):
-    known = read_alone(bank)
+@BOTH
+def test_rows_have_their_digests(bank, read, error):
+    read(bank)
     rows = banks.rows(0, 8).to_pylist()
     rows[0]["poses"][0][0] += 0.01
     pq.write_table(pa.Table.from_pylist(rows, schema=banks.rows(0, 8).schema), bank / ROWS)
-    with pytest.raises(
-        bank_reader.BankError, match=f"{ROWS} is damaged .it is not what was written"
-    ):
-        read_alone(bank)
-    # A bank that is written while it is open: what bank.json says by then is what counts.
+    with pytest.raises(error, match=f"{ROWS} is damaged .it is not what was written"):
+        read(bank)
+
+
+def test_a_bank_that_is_written_while_it_is_open_is_what_bank_json_says_by_then(bank):
+    known = read_alone(bank)
     shutil.rmtree(bank)
     with banks.writer(bank, 16) as writer:
         writer.write_block(0, banks.rows(0, 4))
         opened = bank_reader.Bank(bank)
+        ours = read_bank(bank)
         writer.write_block(0, banks.rows(0, 8))
         np.testing.assert_array_equal(opened.arrays.poses, known[1].poses)
+        assert ours.table.num_rows == 8
 
 
 @BOTH
@@ -279,9 +283,13 @@ def test_a_record_holds_no_key_twice(bank, name):
     file.write_text('{"format": 1, ' + file.read_text().lstrip()[1:])
     with pytest.raises(bank_reader.BankError, match="it holds the key 'format' twice"):
         read_alone(bank)
+    if name == "bank.json":
+        with pytest.raises(BankError, match="it holds the key 'format' twice"):
+            read_bank(bank)
 
 
-def test_a_link_in_place_of_a_cache_of_blobs_leads_nowhere(bank, tmp_path):
+@BOTH
+def test_a_link_in_place_of_a_cache_of_blobs_leads_nowhere(bank, read, error, tmp_path):
     """The Hugging Face Hub's cache links from snapshots to blobs, which is a folder."""
     outside = tmp_path / "outside"
     snapshot = tmp_path / "cache/snapshots/1"
@@ -291,11 +299,11 @@ def test_a_link_in_place_of_a_cache_of_blobs_leads_nowhere(bank, tmp_path):
     shutil.move(snapshot / ROWS, outside / "rows")
     (snapshot / ROWS).symlink_to("../../blobs/rows")
     outside.rename(tmp_path / "cache/blobs")
-    assert len(read_alone(snapshot)[3]) >= 6
+    assert len(read(snapshot)[3]) >= 6
     (tmp_path / "cache/blobs").rename(outside)
     (tmp_path / "cache/blobs").symlink_to(outside)
-    with pytest.raises(bank_reader.BankError, match="leads out"):
-        read_alone(snapshot)
+    with pytest.raises(error, match="leads out"):
+        read(snapshot)
 
 
 @pytest.mark.parametrize(

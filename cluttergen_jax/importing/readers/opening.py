@@ -6,15 +6,13 @@ Many files name a place on their author's machine: it is looked for by the last 
 from __future__ import annotations
 
 import codecs
-import gzip
-import io
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from urllib.parse import unquote
 
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.files import MOST_WORDS, fault_of_file
+from cluttergen_jax.files import fault_of_file
 
 MOST_MESH = 4 << 30
 """Bytes of a mesh file."""
@@ -43,19 +41,6 @@ def read_file(path: Path, most: int = MOST_MESH) -> bytes:
     """The bytes of a regular file; see `check_openable`."""
     check_openable(path, most)
     return path.read_bytes()
-
-
-def gunzip(data: bytes, most: int = MOST_WORDS) -> bytes:
-    """What a gzip file holds.
-
-    Raises:
-      ValueError: it is more than `most` bytes.
-    """
-    with gzip.open(io.BytesIO(data)) as file:
-        found = file.read(most + 1)
-    if len(found) > most:
-        raise ValueError(f"it holds more than {most:,} bytes")
-    return found
 
 
 def as_utf8(data: bytes) -> bytes:

@@ -6,10 +6,8 @@ metres, and of which mesh: what they state is reported, and not used.
 
 from __future__ import annotations
 
-import gzip
 import json
 import re
-import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,6 +18,7 @@ from typing import Any
 
 import msgspec
 
+from cluttergen_jax import schema
 from cluttergen_jax.importing.readers.sidecar_values import (
     UNIT,
     VALUES,
@@ -315,21 +314,15 @@ def _keys_of(family: Family, entry: Any) -> Iterator[tuple[str, str, Any]]:
 
 @lru_cache(maxsize=8)
 def _parsed(path: Path, time: int, size: int) -> tuple[Any, str]:
-    """A file's JSON as of a time, and why there is none."""
+    """A file's JSON as of a time, and why there is none; NaN is judged where it stands."""
     if size > _MAX_BYTES:
         return None, f"it holds {size >> 20} MB"
     try:
-        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as opened:
-            data = opened.read(_MAX_BYTES + 1)
-        if len(data) > _MAX_BYTES:
-            return None, f"it unpacks to more than {_MAX_BYTES >> 20} MB"
-        return json.loads(data, object_pairs_hook=_no_key_twice), ""
-    except (OSError, EOFError, zlib.error) as error:
-        return None, getattr(error, "strerror", None) or "it is damaged"
-    except RecursionError:
-        return None, "it is nested too deeply"
-    except ValueError as error:
-        return None, f"not JSON ({error})"
+        return schema.read_json(path, allow_nan=True, most=_MAX_BYTES), ""
+    except OSError as error:
+        return None, error.strerror or "it is damaged"
+    except schema.SchemaError as error:
+        return None, str(error)
 
 
 def read_json(path: Path) -> Any:
@@ -340,11 +333,8 @@ def read_json(path: Path) -> Any:
     """
     try:
         about = path.stat()
-        is_file = path.is_file()
     except OSError as error:
         raise ValueError(error.strerror) from error
-    if not is_file:
-        raise ValueError("not a regular file")
     document, fault = _parsed(path, about.st_mtime_ns, about.st_size)
     if fault:
         raise ValueError(fault)
@@ -357,14 +347,6 @@ def _content(path: Path) -> Any:
         return read_json(path)
     except ValueError:
         return None
-
-
-def _no_key_twice(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        twice = next(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
-        raise ValueError(f"key {short_text(twice)} is there twice")
-    return found
 
 
 def _place(file: Path, document: Any, key: str) -> Path | None:

@@ -46,7 +46,7 @@ from cluttergen_jax.importing.readers.xml_tree import (
     without_namespace,
     wrong_attribute,
 )
-from cluttergen_jax.schema import parse_written_json, read_written
+from cluttergen_jax.schema import read_json
 
 XACRO = ".xacro"
 _ELEMENT = re.compile(rb"<(xacro:\w+)")
@@ -442,7 +442,7 @@ def _global_scaling(path: Path) -> float:
     if not label.is_file():
         return 1.0
     try:
-        scale = float(parse_written_json(read_written(label)).get("globalScaling", 1.0))
+        scale = float(read_json(label).get("globalScaling", 1.0))
     except (OSError, ValueError, TypeError, AttributeError, OverflowError) as error:
         raise AssetError(f"{label} cannot be read: {error}") from error
     if not (math.isfinite(scale) and scale > 0):

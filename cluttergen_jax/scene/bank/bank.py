@@ -29,6 +29,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash, read_object
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import read_support, support_hash
+from cluttergen_jax.bank_reader import RowDigests
 from cluttergen_jax.errors import BankError, PoolError
 from cluttergen_jax.files import check_utf8, inside, read_regular
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
@@ -110,11 +111,19 @@ class Bank:
         Raises:
           BankError: see `table`.
         """
-        stored = StoredBlocks.of(self.path)
+        stored = self.blocks()
         if not stored.places:
             raise BankError(f"{self.path} holds no scenes yet", hint=AGAIN)
         blocks = None if indices is None else np.unique(indices // BLOCK_SIZE).tolist()
         return map(self._check_objects, stored.tables(columns, blocks))
+
+    def blocks(self) -> StoredBlocks:
+        """Its blocks as they lie on disk now, each file held against its digest when it is first read."""
+        return StoredBlocks(self.path, self._digests)
+
+    @cached_property
+    def _digests(self) -> RowDigests:
+        return RowDigests(self.files or {}, lambda: read_bank(self.path).files or {})
 
     def _check_objects(self, rows: pa.Table) -> pa.Table:
         """The rows, if `bank.json` names every object that they number (BankError)."""
@@ -144,11 +153,11 @@ class Bank:
         Raises:
           BankError: a block is damaged.
         """
-        stored = StoredBlocks.of(self.path)
+        stored = self.blocks()
         found = {}
         for block, wanted in groupby(sorted(set(indices)), lambda index: index // BLOCK_SIZE):
             if block in stored.places:
-                table = self._check_objects(stored.read(block))
+                table = self._check_objects(stored.read_block(block))
                 places = [index % BLOCK_SIZE for index in wanted]
                 held = [place for place in places if place < table.num_rows]
                 kept = table.take(pa.array(held, pa.int64()))
@@ -210,7 +219,7 @@ def _mended_by_generate() -> Iterator[None]:
 
 def block_numbers(path: Path) -> list[int]:
     """The blocks that a bank's folder holds, in order."""
-    return list(StoredBlocks.of(path).places)
+    return list(StoredBlocks(path).places)
 
 
 def is_bank(path: Path) -> bool:
@@ -246,10 +255,10 @@ def recover_record(path: Path) -> Record | None:
     Raises:
       NewerBankError: a later version wrote that block.
     """
-    stored = StoredBlocks.of(path)
+    stored = StoredBlocks(path)
     for block in stored.places:
         try:
-            record = record_in(stored.read(block))
+            record = record_in(stored.read_block(block))
         except (BankError, KeyError, ValueError, RecursionError):
             continue
         check_format(path, record)

@@ -12,20 +12,18 @@ import hashlib
 import io
 import json
 import os
-import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from cluttergen_jax.assets.object_files import NAME_PATTERN
+from cluttergen_jax.bank_reader import Blocks, RowDigests, file_blocks, files_of_rows
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import check_regular, file_whole, inside, write_atomically, writing
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
@@ -35,20 +33,9 @@ from cluttergen_jax.scene.bank.table import CLUTTER, COLUMNS, SCHEMA, schema_of,
 
 SHARD_BLOCKS = 768
 """Blocks of a full shard: of ten-object scenes, about 100 MB. Shard s begins with block 768 s."""
-_AT_ONCE = 32
-"""Blocks that are read together: a few megabytes of rows."""
-_TRIES = 100
-"""So often a folder is listed again that changes while it is read."""
 _MOST_BYTES = 2**34
 """Of a file of rows."""
-_MOST_UNPACKED = 2**30
-"""Bytes of a block once it is unpacked."""
-_FAR = 1000.0
-"""Metres beyond which no object of a scene that succeeded is."""
-_FILE = re.compile(r"scenes-(\d{6,9})(?:-(\d{6,9}))?\.parquet")
-_SLOT = re.compile(rf"{NAME_PATTERN.pattern}(#\d+)?")
 _METADATA = b"cluttergen"
-_T = TypeVar("_T")
 
 
 def block_path(path: Path, block: int) -> Path:
@@ -61,48 +48,27 @@ def shard_path(path: Path, blocks: range) -> Path:
     return path / f"scenes-{blocks[0]:06d}-{blocks[-1]:06d}.parquet"
 
 
-@dataclass(frozen=True, eq=False)
-class StoredBlocks:
-    """The blocks that lie in a folder at one time.
+class StoredBlocks(Blocks):
+    """The blocks that lie in a folder now, or, of a mirror, where that is of; see `bank_reader.Blocks`.
 
     Attributes:
-      path: the bank's folder.
-      places: by block, in order, the name of its file and its row group there.
       remote: where those files are that the folder, a mirror, does not hold.
     """
 
-    path: Path
-    places: dict[int, tuple[str, int]]
-    remote: RemoteFolder | None = None
-    _open: dict[str, pq.ParquetFile] = field(default_factory=dict)
+    error = BankError
+    again = AGAIN
 
-    @classmethod
-    def of(cls, path: Path) -> StoredBlocks:
-        """What lies in a folder now; nothing if there is none."""
-        places: dict[int, tuple[str, int]] = {}
-        # The last one wins: long shards over short ones that they were made of, single blocks over all.
-        files = block_files(path)
-        remote = remote_of(path)
-        if remote is not None:
-            files |= _block_files(remote.sizes())
-        for name, blocks in files.items():
-            if len(blocks) > SHARD_BLOCKS:
-                raise BankError(
-                    f"{path / name} is damaged: its name says {len(blocks)} blocks",
-                    f"1 to {SHARD_BLOCKS} in a file",
-                    AGAIN,
-                )
-        for name in sorted(files, key=lambda name: (not is_shard(files[name]), files[name][-1])):
-            places.update({block: (name, row_group) for row_group, block in enumerate(files[name])})
-        return cls(path, dict(sorted(places.items())), remote)
+    def __init__(self, path: Path, digests: RowDigests | None = None) -> None:
+        self.remote: RemoteFolder | None = remote_of(path)
+        super().__init__(path, digests)
 
-    def read(self, block: int) -> pa.Table:
-        """The rows of one block, every value looked at.
+    def read_block(self, block: int) -> pa.Table:
+        """The rows of one block, with all columns of this version, every value looked at.
 
         Raises:
           BankError: there is none, the file cannot be read, is damaged, or does not hold what its name says.
         """
-        return self._use([block], partial(_rows_of, block, None))[1]
+        return next(self.read(partial(_checked, None), blocks=[block]))
 
     def tables(
         self, columns: Sequence[str] | None = None, blocks: Iterable[int] | None = None
@@ -114,78 +80,29 @@ class StoredBlocks:
           blocks: those that are wanted, all if not given; the others are not read.
 
         Raises:
-          BankError: likewise.
+          BankError: as `read_block`.
         """
+        held = None if blocks is None else sorted(set(blocks).intersection(self.places))
+        return self.read(partial(_checked, columns), columns, held)
 
-        rest = (
-            list(self.places) if blocks is None else sorted(set(blocks).intersection(self.places))
-        )
-        while rest:
-            number, table = self._use(rest, partial(_rows_of, rest[0], columns))
-            rest = rest[number:]
-            yield table
+    def names(self) -> Iterable[str]:
+        """The files of rows of the folder, and of where it is from."""
+        elsewhere = filter(file_blocks, self.remote.sizes()) if self.remote else ()
+        return {*super().names(), *elsewhere}
 
-    def _use(
-        self, blocks: Sequence[int], use: Callable[[pq.ParquetFile, list[int]], _T]
-    ) -> tuple[int, _T]:
-        """What `use` makes of the first ones of some blocks, those that lie together; and how many these are.
-
-        A writer may put blocks into another file after they were listed: listing and reading are one step,
-        which is done again. Damaged is what was read, and is not what was written.
-
-        Args:
-          use: given a file, and row groups of it.
-        """
-        for _ in range(_TRIES):
-            if blocks[0] not in self.places:
-                break
-            name, row_groups = self._together(blocks)
-            try:
-                file = self._file(name)
-                _check_sizes(file.metadata, name, row_groups)
-                return len(row_groups), use(file, row_groups)
-            except _GoneError:
-                self.places.clear()
-                self.places.update(StoredBlocks.of(self.path).places)
-            except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
-                raise BankError(f"{self.path / name} is damaged ({error})", hint=AGAIN) from error
-        raise BankError(f"{block_path(self.path, blocks[0])} is missing", hint=AGAIN)
-
-    def _together(self, blocks: Sequence[int]) -> tuple[str, list[int]]:
-        """The file of the first block, and the row groups of it and of those that follow it there."""
-        name, row_group = self.places[blocks[0]]
-        row_groups = [row_group]
-        for block in blocks[1:]:
-            row_group += 1
-            is_next = block == blocks[0] + len(row_groups) and row_group % _AT_ONCE
-            if not is_next or self.places.get(block) != (name, row_group):
-                break
-            row_groups.append(row_group)
-        return name, row_groups
-
-    def _file(self, name: str) -> pq.ParquetFile:
-        if name not in self._open:
-            # One at a time: blocks are read in order, and each open file costs memory.
-            self._open.clear()
-            self._open[name] = pq.ParquetFile(self._opened(name), page_checksum_verification=True)
-        return self._open[name]
-
-    def _opened(self, name: str) -> pa.NativeFile:
-        # pyarrow takes a relative path with a colon in it for a URL.
-        path = (self.path / name).absolute()
+    def open_file(self, name: str) -> pa.NativeFile:
+        """A file of rows, from where it is (FileNotFoundError, OSError: it is gone, or cannot be read)."""
+        path = self.path / name
+        if self.remote is None or path.exists():
+            check_regular(inside(self.path, name), _MOST_BYTES)
+            self.check_digest(name, path)
+            # pyarrow takes a relative path with a colon in it for a URL.
+            return pa.OSFile(os.fspath(path.absolute()))
         try:
-            if self.remote is None or path.exists():
-                check_regular(inside(self.path, name), _MOST_BYTES)
-                return pa.OSFile(os.fspath(path))
             return self.remote.open(name)
-        except FileNotFoundError as error:
-            raise _GoneError from error
-        except OSError as error:
-            given = f"{self.path / name} cannot be read ({error.strerror or error})"
-            raise BankError(given, hint=AGAIN) from error
         except BankError as error:
             if isinstance(error.__cause__, FileNotFoundError):
-                raise _GoneError from error
+                raise error.__cause__ from error
             raise
 
     @property
@@ -209,40 +126,13 @@ class StoredBlocks:
           BankError: the file cannot be read.
         """
         if self.remote is None or (self.path / self.places[block][0]).exists():
-            return self.read(block).num_rows
-        return self._use(
-            [block], lambda file, groups: int(file.metadata.row_group(groups[0]).num_rows)
-        )[1]
+            return int(self.read_block(block).num_rows)
+        return len(self.numbers(block))
 
 
-class _GoneError(Exception):
-    """A file that was listed is not there any more."""
-
-
-def _rows_of(
-    block: int, columns: Sequence[str] | None, file: pq.ParquetFile, row_groups: list[int]
-) -> pa.Table:
-    """Row groups of a file, the first of which is that of a block, every value looked at."""
-    table = file.read_row_groups(row_groups, columns)
-    table = with_added(table) if columns is None else table.select(columns)
-    table.validate(full=True)
-    _check_rows(table, block, columns)
-    return table
-
-
-def _check_sizes(metadata: pq.FileMetaData, name: str, groups: Iterable[int]) -> None:
-    """ValueError if a file states more than its name allows, before memory is taken for it."""
-    if metadata.num_row_groups != len(file_blocks(name)):
-        blocks = len(file_blocks(name))
-        raise ValueError(f"its name says {blocks} blocks, and it holds {metadata.num_row_groups}")
-    for group in map(metadata.row_group, groups):
-        # What it states of its columns is not asked: Arrow ends the process where that is damaged.
-        if not (0 < group.num_rows <= BLOCK_SIZE and 0 <= group.total_byte_size <= _MOST_UNPACKED):
-            raise ValueError(f"a block has {group.num_rows} scenes, {group.total_byte_size} bytes")
-
-
-def _check_rows(table: pa.Table, block: int, columns: Sequence[str] | None) -> None:
-    """ValueError if these are not rows of blocks from number `block` on, as far as their columns tell."""
+def _checked(columns: Sequence[str] | None, rows: pa.Table) -> pa.Table:
+    """Rows, sound as `check_rows` knows them, with those columns (ValueError: they are none of a bank)."""
+    table = with_added(rows) if columns is None else rows.select(columns)
     for each in [*SCHEMA, *CLUTTER]:
         if columns is not None and each.name not in columns:
             continue
@@ -250,12 +140,7 @@ def _check_rows(table: pa.Table, block: int, columns: Sequence[str] | None) -> N
             raise ValueError(f"its column {each.name!r} is missing or of another type")
         if each.name in SCHEMA.names and table[each.name].null_count:
             raise ValueError(f"its column {each.name!r} has gaps")
-    first = block * BLOCK_SIZE
     names = set(table.schema.names)
-    if "index" in names and not np.array_equal(
-        table["index"], np.arange(first, first + table.num_rows)
-    ):
-        raise ValueError(f"its scenes are not those from {first} on")
     lists = [
         table[each.name].combine_chunks()
         for each in SCHEMA
@@ -266,40 +151,11 @@ def _check_rows(table: pa.Table, block: int, columns: Sequence[str] | None) -> N
         pc.list_flatten(each).null_count for each in lists
     ):
         raise ValueError("its lists of objects are of different lengths, or have gaps")
-    if "objects" in names:
-        known = pc.unique(pc.list_flatten(table["objects"])).to_pylist()
-        if strange := [name for name in known if not _SLOT.fullmatch(name)]:
-            raise ValueError(f"it names an object {strange[0]!r}")
     if "verdict" in names:
         verdicts = pc.unique(table["verdict"]).to_pylist()
         if strange := [text for text in verdicts if not text.isprintable()]:
             raise ValueError(f"it has a verdict {strange[0]!r}")
-    if {"objects", "is_placed", "is_success"} <= names:
-        row = np.repeat(
-            np.arange(table.num_rows), np.array(pc.list_value_length(table["is_placed"]))
-        )
-        placed = np.array(pc.list_flatten(table["is_placed"]), bool)
-        objects = pc.list_flatten(table["objects"]).combine_chunks().dictionary_encode().indices
-        pairs = np.stack([row, np.array(objects)])[:, placed]
-        if np.unique(pairs, axis=1).shape != pairs.shape:
-            raise ValueError("it has an object twice in one scene")
-        if not placed[np.array(table["is_success"], bool)[row]].all():
-            raise ValueError("a scene that succeeded lacks an object")
-    if {"poses", "is_placed"} <= names:
-        # Poses are lists in lists: slots, and seven numbers each.
-        poses = np.array(pc.list_flatten(pc.list_flatten(table["poses"]))).reshape(-1, 7)
-        placed = np.array(pc.list_flatten(table["is_placed"]), bool)
-        if not np.isfinite(poses[placed]).all():
-            raise ValueError("an object that was placed has a pose that is not finite")
-        if (np.abs(np.linalg.norm(poses[placed, 3:], axis=1) - 1) > 1e-3).any():
-            raise ValueError("an object that was placed has a quaternion that is not of length 1")
-        if "is_success" in names:
-            number = pc.list_value_length(table["is_placed"])
-            placed &= np.repeat(np.array(table["is_success"], bool), np.array(number))
-            if (np.abs(poses[placed, :3]) > _FAR).any():
-                raise ValueError(
-                    f"an object of a scene that succeeded is farther away than {_FAR:g} m"
-                )
+    return table
 
 
 def with_record(table: pa.Table, record: Record) -> pa.Table:
@@ -332,25 +188,11 @@ def record_in(table: pa.Table) -> Any:
 
 def block_files(path: Path) -> dict[str, range]:
     """The files of blocks and shards in a folder, and which blocks each is of."""
-    if not path.is_dir():
-        return {}
-    # A listing that is made while files are exchanged may have neither the old ones nor the new one.
-    found = _block_files(os.listdir(path))
-    for _ in range(_TRIES):
-        before, found = found, _block_files(os.listdir(path))
-        if found == before:
-            break
-    return found
+    return _block_files(files_of_rows(path))
 
 
 def _block_files(names: Iterable[str]) -> dict[str, range]:
     return {name: blocks for name in names if (blocks := file_blocks(name))}
-
-
-def file_blocks(name: str) -> range:
-    """The blocks of a file of rows, by its name; none for any other file."""
-    match = _FILE.fullmatch(name)
-    return range(int(match[1]), int(match[2] or match[1]) + 1) if match else range(0)
 
 
 def is_shard(blocks: range) -> bool:
@@ -403,7 +245,7 @@ def write_shard(path: Path, blocks: range, record: Record) -> WrittenShard | Non
     target = shard_path(path, blocks)
     try:
         with writing(target), file_whole(target) as fresh:
-            _write_row_groups(fresh, StoredBlocks.of(path), blocks, record)
+            _write_row_groups(fresh, StoredBlocks(path), blocks, record)
             digest = digest_of_file(fresh)
     except _UnevenError:
         return None
@@ -432,7 +274,7 @@ def _write_row_groups(target: Path, stored: StoredBlocks, blocks: range, record:
     with target.open("wb") as file, ExitStack() as stack:
         for block in blocks:
             try:
-                table = stored.read(block)
+                table = stored.read_block(block)
             except BankError as error:
                 raise _UnevenError from error
             own = schema_of(table)

@@ -16,12 +16,13 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from cluttergen_jax.bank_reader import file_blocks
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import inside
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank, read_bank
-from cluttergen_jax.scene.bank.blocks import StoredBlocks, digest_of_file, file_blocks
+from cluttergen_jax.scene.bank.blocks import StoredBlocks, digest_of_file
 from cluttergen_jax.scene.bank.record import READER
 from cluttergen_jax.scene.bank.table import BankRow
 from cluttergen_jax.schema import digest_of
@@ -79,7 +80,7 @@ def _changes_of(bank: Bank) -> list[Change] | None:
     known = bank.files
     if known is None:
         return None
-    stored = StoredBlocks.of(bank.path)
+    stored = StoredBlocks(bank.path)
     found = []
     for name in known:
         if file_blocks(name):

@@ -12,11 +12,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypedDict
 
+from cluttergen_jax import bank_reader
 from cluttergen_jax.assets.object_files import NAME_PATTERN
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.schema import SchemaError, digest_of, refuse_control_characters
+from cluttergen_jax.schema import refuse_control_characters
 
-FORMAT = 1
+FORMAT = bank_reader.FORMAT
 INDEX = "bank.json"
 READER = "bank_reader.py"
 AGAIN = (
@@ -89,10 +90,7 @@ def check_format(path: Path, record: Any) -> None:
     """Refuses the record of a bank that a later version made (NewerBankError: it is one)."""
     number = record.get("format") if isinstance(record, dict) else None
     if isinstance(number, int) and number > FORMAT:
-        raise NewerBankError(
-            f"{path} was made by a newer version (format {number}; this one reads {FORMAT})",
-            hint="a newer cluttergen_jax",
-        )
+        raise _newer(path, f"format {number}")
 
 
 def parse_record(path: Path, data: bytes) -> Record:
@@ -104,25 +102,23 @@ def parse_record(path: Path, data: bytes) -> Record:
     """
     index = path / INDEX
     try:
-        record = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise BankError(f"{index} cannot be read ({error})", hint=AGAIN) from error
-    check_format(path, record)
-    if not isinstance(record, dict) or record.get("format") != FORMAT:
-        raise BankError(f"{index} is not the record of a bank of format {FORMAT}", hint=AGAIN)
-    digest = record.pop("hash", None)
-    fault = (
-        fault_of(record)
-        if digest in (None, _digest(record))
-        else "it does not match its own digest"
-    )
-    try:
+        record = bank_reader.parse_record(data)
         refuse_control_characters(record)
-    except SchemaError as error:
-        fault = str(error)
-    if fault is not None:
-        raise BankError(f"{index} is damaged: {fault}", hint=AGAIN)
+    except bank_reader.NewerFormatError as error:
+        raise _newer(path, error) from error
+    except (ValueError, TypeError, LookupError, RecursionError) as error:
+        reason = f"no {error}" if isinstance(error, KeyError) else error
+        raise BankError(f"{index} is damaged ({reason})", hint=AGAIN) from error
+    if fault := fault_of(record):
+        raise BankError(f"{index} is damaged ({fault})", hint=AGAIN)
     return record  # type: ignore[return-value]
+
+
+def _newer(path: Path, number: object) -> NewerBankError:
+    return NewerBankError(
+        f"{path} was made by a newer version ({number}; this one reads {FORMAT})",
+        hint="a newer cluttergen_jax",
+    )
 
 
 def block_record(record: Record) -> Record:
@@ -135,32 +131,22 @@ def block_record(record: Record) -> Record:
 
 def index_bytes(record: Mapping[str, Any]) -> bytes:
     """The content of `bank.json`: the record, and its digest, so that damage is noticed."""
-    return (json.dumps({**record, "hash": _digest(record)}, indent=1) + "\n").encode()
-
-
-def _digest(record: Mapping[str, Any]) -> str:
-    return digest_of(json.dumps(record, sort_keys=True).encode())
+    return (
+        json.dumps({**record, "hash": bank_reader.digest_of_record(record)}, indent=1) + "\n"
+    ).encode()
 
 
 def fault_of(record: Mapping[str, Any]) -> str | None:
     """What is wrong with the record of a bank, in words; None if it is sound."""
-    number = record.get("num_scenes")
-    if isinstance(number, bool) or not isinstance(number, int) or number < 1:
-        return f"num_scenes is {number!r}"
-    if not isinstance(record.get("recipe"), dict):
-        return "it has no recipe"
+    try:
+        bank_reader.check_record(dict(record))
+    except ValueError as error:
+        return str(error)
     assets = record.get("assets", NO_ASSETS)
-    if (
-        not isinstance(assets, dict)
-        or not isinstance(assets.get("objects"), dict)
-        or "support" not in assets
-    ):
+    if "support" not in assets:
         return "its digests of assets are not understood"
     if strange := [name for name in assets["objects"] if not NAME_PATTERN.fullmatch(name)]:
         return f"it names an object {strange[0]!r}"
-    files = record.get("files", {})
-    if not isinstance(files, dict) or not all(isinstance(digest, str) for digest in files.values()):
-        return "its digests of files are not understood"
     bits = record.get("bits", [{}])
     if (
         not isinstance(bits, list)

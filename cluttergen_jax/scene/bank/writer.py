@@ -156,7 +156,7 @@ class BankWriter:
         self._store_objects_of(table)
         if block in self._sound or (block in self._stored.places and not self._is_edited(block)):
             with suppress(BankError):
-                table = with_columns_of(StoredBlocks.of(self.path).read(block), table)
+                table = with_columns_of(StoredBlocks(self.path).read_block(block), table)
         self._index.write_block(block, table)
         self._sound.add(block)
         self._loose.add(block)
@@ -186,14 +186,14 @@ class BankWriter:
 
     def _complete_columns(self) -> None:
         """Writes files of an older version again, which lack columns that others of the bank have."""
-        stored = StoredBlocks.of(self.path)
+        stored = StoredBlocks(self.path)
         for name, blocks in block_files(self.path).items():
             if is_whole(self.path / name) or not self._sound.issuperset(blocks):
                 continue
             if len(blocks) > 1:
                 self._index.write_shard(blocks)
             else:
-                self._index.write_block(blocks[0], stored.read(blocks[0]))
+                self._index.write_block(blocks[0], stored.read_block(blocks[0]))
 
     def extend(self, num_scenes: int) -> None:
         """The bank is asked for at least so many scenes from now on (BankError: it cannot be written)."""
@@ -261,7 +261,7 @@ class BankWriter:
     def _check_continued(self, num_scenes: int) -> Record:
         """What is continued, empty where nothing is; refuses another bank, and scenes of other bits."""
         theirs = self._stored_record()
-        self._stored = StoredBlocks.of(self.path)
+        self._stored = StoredBlocks(self.path)
         self._sound = set[int]()
         self._edited = self._edited_files(theirs.get("files", {}))
         if theirs:
@@ -282,7 +282,7 @@ class BankWriter:
                 own = [block for block in blocks if self._stored.places[block][0] == name]
                 with suppress(BankError):
                     for block in own:
-                        self._stored.read(block)
+                        self._stored.read_block(block)
                     edited.add(name)
         return edited
 
