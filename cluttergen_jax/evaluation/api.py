@@ -23,7 +23,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
 from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.numerics import with_kept_programs
-from cluttergen_jax.spec import EvaluateOptions, SceneSpec, spec_of, takes_spec
+from cluttergen_jax.spec import SceneOptions, SceneSpec, spec_of, takes_spec
 
 if TYPE_CHECKING:
     import numpy as np
@@ -35,10 +35,15 @@ if TYPE_CHECKING:
 
 _TRIALS = 1000
 _SUPPORTS = ("table",)
+_ROWS = {
+    name: f"each row has its own: {name}s=(...), or a `spec` for all rows"
+    for name in ("pool", "support", "method")
+}
+"""Fields of a `SceneSpec` that are no keywords of `evaluate`, and why."""
 
 
 @with_kept_programs
-@takes_spec(EvaluateOptions, num_objects=10)
+@takes_spec(_ROWS, num_objects=10)
 def evaluate(
     methods: Sequence[Method] = (),
     pools: Sequence[str] = (),
@@ -53,7 +58,7 @@ def evaluate(
     out: str | Path | None = None,
     cluster: str | None = None,
     workers: int = 0,
-    **options: Unpack[EvaluateOptions],
+    **options: Unpack[SceneOptions],
 ) -> Comparison:
     """Compares methods: success rates with 95 % intervals, objects placed, effort and speed.
 
@@ -63,8 +68,8 @@ def evaluate(
     Args:
       methods: "random", "clear", "drop", "spread", "guided", and policies trained for the pool: "policy",
         "beta_free", "normal", "open_loop", "short_memory", or "beta", of which none is embedded. If not
-        given: the first five, and "policy" where one is embedded. Of a suite, the rows that are made; all
-        if not given.
+        given: the first five, and "policy" where one is embedded, of these all that can make what is asked
+        for. Of a suite, the rows that are made; all if not given.
       pools: names or folders, or several joined by +; dining if not given, and what each study asks for in a
         suite.
       supports: names or folders; "table-0.40x0.50" is a cuboid of that size, all of it the queried region.
@@ -98,13 +103,9 @@ def evaluate(
       ClutterGenError: no row can be made.
       BankError: another process writes to `out`.
     """
-    from cluttergen_jax.assets.pool import join_pool_names
     from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.evaluation.comparison import compare, open_runner
-    from cluttergen_jax.evaluation.studies.rules import with_rules_of
-    from cluttergen_jax.evaluation.studies.study import grid
     from cluttergen_jax.evaluation.trial import Trial
-    from cluttergen_jax.learning.methods import methods_of
 
     place = cluster_of(cluster, workers)
     check_folder(out)
@@ -126,31 +127,13 @@ def evaluate(
             "methods that place one object after another",
             f"generate(method={PILE!r}), which tells how many scenes succeed",
         )
-    base = Trial(
-        num_objects=10 if asked.num_objects is None else asked.num_objects,
-        attempts=asked.max_attempts,
-        trials=_TRIALS if trials is None else trials,
-        seed=seed,
-        repeat=asked.repeat,
-        change=change,
-        both_detectors=asked.setting != "paper",
-    )
+    if asked.num_objects is None:
+        asked = replace(asked, num_objects=10)
+    number = _TRIALS if trials is None else trials
     planned = [
-        with_rules_of(trial, asked)
-        for pool in pools or (asked.pool,)
-        for trial in grid(
-            base,
-            pool=(join_pool_names(pool, asked.exclude),),
-            support=supports,
-            method=methods or methods_of(str(pool)),
-        )
+        Trial(spec, trials=number, seed=seed, change=change)
+        for spec in _specs_of_rows(asked, methods, pools, supports)
     ]
-    if asked.height != "rest" and all(trial.method != "random" for trial in planned):
-        raise ConfigError(
-            f"height = {asked.height!r} without a row of 'random'", hint="methods=('random',)"
-        )
-    for trial in planned:
-        asked.check_poses(trial.method)
     folder = None if out is None else Path(out)
     with hold_folder(folder):
         runner = open_runner(
@@ -159,6 +142,41 @@ def evaluate(
         if place is not None:
             runner.make_on(place, planned)
         return compare(runner, planned, folder)
+
+
+def _specs_of_rows(
+    asked: SceneSpec, methods: Sequence[Method], pools: Sequence[str], supports: Sequence[str]
+) -> list[SceneSpec]:
+    """What each row asks for: every pool on every support by every method.
+
+    Raises:
+      ConfigError: a method cannot make what is asked for; or, where none is named, no method can.
+    """
+    from cluttergen_jax.learning.methods import methods_of
+
+    specs: list[SceneSpec] = []
+    refused: list[ConfigError] = []
+    for pool in pools or (str(asked.pool),):
+        for support in supports:
+            for method in methods or methods_of(pool):
+                # A height is asked of `random` alone.
+                height = asked.height if method == "random" else "rest"
+                spec = replace(asked, pool=pool, support=support, method=method, height=height)  # type: ignore[arg-type]
+                try:
+                    spec.check_method(method)
+                except ConfigError as error:
+                    if methods:
+                        raise
+                    refused.append(error)
+                else:
+                    specs.append(spec)
+    if not specs:
+        raise refused[0]
+    if asked.height != "rest" and all(spec.method != "random" for spec in specs):
+        raise ConfigError(
+            f"height = {asked.height!r} without a row of 'random'", hint="methods=('random',)"
+        )
+    return specs
 
 
 def certify(

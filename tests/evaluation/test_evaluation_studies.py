@@ -1,6 +1,5 @@
 """Studies: what they ask, their tables, findings that are kept, the results page."""
 
-import dataclasses
 import importlib.util
 import json
 from pathlib import Path
@@ -29,7 +28,7 @@ from cluttergen_jax.evaluation.studies.study import (
 from cluttergen_jax.evaluation.suites import STUDIES, find_suite
 from cluttergen_jax.evaluation.trial import Trial
 
-SMALL = Trial(num_objects=2, trials=6)
+SMALL = Trial.of(num_objects=2, trials=6)
 REPORTS = Path(__file__).parents[2] / "reports"
 PACKAGES = {"pybullet": "pybullet", "drake": "pydrake"}
 
@@ -133,9 +132,9 @@ def test_tables_hold_every_row_and_say_quick(name, number, cells):
     if name != "furniture":
         made["paper"] = figures(4, [1, 1, 0, 4])
     rows = [
-        {"trial": dataclasses.asdict(t), "figures": made}
+        {"trial": t.fields(), "figures": made}
         if t.method == "random" or name == "furniture"
-        else {"trial": dataclasses.asdict(t), "missing": "no checkpoint", "hint": "python train.py"}
+        else {"trial": t.fields(), "missing": "no checkpoint", "hint": "python train.py"}
         for t in study.trials
     ]
     result = json.loads(json.dumps(result_of(study, rows)))

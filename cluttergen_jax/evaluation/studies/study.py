@@ -60,7 +60,7 @@ class Scale:
 
     def trial(self, full: int, quick: int, **fields: Any) -> Trial:
         """A row of so many trials in the whole study and in a quick one."""
-        return Trial(trials=self.number(full, quick), seed=self.seed, **fields)
+        return Trial.of(trials=self.number(full, quick), seed=self.seed, **fields)
 
     def trial_by_both_counts(self, full: int, quick: int, **fields: Any) -> Trial:
         """A row by both counts, whose attempts run to step 240 as the paper's do."""
@@ -78,7 +78,7 @@ class Scale:
 def grid(base: Trial, **values: Iterable[Any]) -> tuple[Trial, ...]:
     """The trial with every combination of the given fields' values; the last field's vary fastest."""
     return tuple(
-        replace(base, **dict(zip(values, each, strict=True))) for each in product(*values.values())
+        base.replace(**dict(zip(values, each, strict=True))) for each in product(*values.values())
     )
 
 
@@ -245,7 +245,7 @@ def measure_each(
 def row_of(trial: Trial, /, *found: Mapping[str, Any], **more: Any) -> Row:
     """A row of findings: what the trial asks, and what was found."""
     row: Any = {"pool": trial.pool_name, "support": trial.support_name, "method": trial.row_name}
-    row |= {"min_margin": trial.min_margin} if trial.min_margin else {}
+    row |= {"min_margin": trial.spec.min_margin} if trial.spec.min_margin else {}
     for each in found:
         row |= each
     return row | more
