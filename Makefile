@@ -74,7 +74,7 @@ dist: $(VENV)/.dev ## build the wheel and the source distribution in dist, and c
 
 test-wheel: dist ## the quick tests against the built wheel, in an environment of its own away from here (PYTHON=...)
 	@set -e; away=$$(mktemp -d); trap 'rm -rf "$$away"' EXIT; echo "in $$away, with $$($(PYTHON) --version)"; \
-	tar -xzf dist/*.tar.gz --strip-components=1 -C "$$away"; rm -r "$$away/cluttergen_jax" "$$away/scenes"; \
+	tar -xzf dist/*.tar.gz --strip-components=1 -C "$$away"; rm -r "$$away/cluttergen_jax"; find "$$away/scenes" -mindepth 1 -maxdepth 1 ! -name furniture -exec rm -r {} +; \
 	$(PYTHON) -m venv "$$away/.venv"; \
 	"$$away/.venv/bin/pip" install --quiet -c constraints.txt "$$(echo dist/*.whl)[dev,ycb,ray,robot,record,video]"; \
 	cd "$$away" && .venv/bin/pytest -n auto --maxprocesses 4 --dist loadfile -m "not slow" $(TESTS)
@@ -85,7 +85,7 @@ format: $(VENV)/.dev ## let ruff mend what it can
 
 scenes: $(VENV)/.dev ## build the embedded pools, supports and ready scenes again
 	$(RUN)/python scenes/build.py
-	$(RUN)/python scenes/build_supports.py
+	$(RUN)/python -m scenes.build_supports
 	$(RUN)/python scenes/build_ready.py
 
 bench: $(VENV)/.all ## measure contact, last check and engines again; renews reports/benchmarks.md

@@ -53,7 +53,7 @@ ROWS = (
     Row(
         "beta",
         "one Beta a coordinate (the paper's head), z about rest on the bare top",
-        variant="beta",
+        network={"head": "beta"},
     ),
     Row(
         "normal",

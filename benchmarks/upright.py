@@ -21,7 +21,7 @@ from cluttergen_jax.assets.mass import mass_properties
 from cluttergen_jax.assets.pool import EMBEDDED, find_pool
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.solid import Solid, solid_of
-from cluttergen_jax.assets.upright import Choice, usual_poses
+from cluttergen_jax.assets.stances import Choice, usual_poses
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import find_sources, read_shape
 

@@ -90,10 +90,12 @@ if TYPE_CHECKING:
     from cluttergen_jax.scene.bank import Bank, read_bank
     from cluttergen_jax.scene.bank.scene import read_scenes
     from cluttergen_jax.scene.bank.stats import stats_of, stats_text
+    from cluttergen_jax.scene.export import Format, register_format
 
 __all__ = [
     "Bank",
     "BankArrays",
+    "Format",
     "KeepOut",
     "RandomizationConfig",
     "Rectangle",
@@ -146,6 +148,7 @@ __all__ = [
     "read_robot",
     "read_scenes",
     "rearrange",
+    "register_format",
     "remove_pool",
     "render",
     "repair",
@@ -182,6 +185,7 @@ _MODULES = {
     "assets.support_file": ("list_supports",),
     "importing.poses": ("pool_poses", "set_pose"),
     "scene": ("Scene",),
+    "scene.export": ("Format", "register_format"),
     "scene.bank": ("Bank", "read_bank"),
     "scene.bank.scene": ("read_scenes",),
     "scene.bank.stats": ("stats_of", "stats_text"),

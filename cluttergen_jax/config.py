@@ -23,7 +23,6 @@ Method = Literal[
     "packed",
     "pile",
     "policy",
-    "beta",
     "beta_free",
     "normal",
     "open_loop",
@@ -48,12 +47,12 @@ HAND = "hand"
 REPAIR = "repair"
 """That of banks of repaired layouts."""
 UNPROPOSED = (HAND, REPAIR)
-Variant = Literal["guided", "policy", "beta", "beta_free", "normal", "open_loop", "short_memory"]
+Variant = Literal["guided", "policy", "beta_free", "normal", "open_loop", "short_memory"]
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
 """`guided` is no policy: its network learns by supervision what will stand, for every pool.
 
 `policy` is the full method with the preset's head (a mixture; in the paper's presets its Beta a coordinate);
-`beta_free`, the paper's, `beta` and `normal` are the full method with one distribution a coordinate;
+`beta_free`, the paper's, and `normal` are the full method with one distribution a coordinate;
 `open_loop` and `short_memory` look back on nothing and on one attempt."""
 Preset = Literal["cpu", "gpu", "paper", "paper_code", "paper_cpu"]
 Engine = Literal["auto", "native", "warp", "jax"]
@@ -78,11 +77,6 @@ Encoder = Literal["set", "pointnet", "pointnet2"]
 EvalAction = Literal["sampled", "mean"]
 Suite = Literal["paper", "extended", "downstream"]
 Split = Literal["train", "val", "test"]
-SensedFrom = Literal["free", "overhead", "side"]
-RobotTask = Literal["lift", "place"]
-Rearrangement = Literal["paper", "occupied", "blocked", "eight", "stacked"]
-LayoutRule = Literal["clearance", "reach", "similar"]
-PickOrder = Literal["graph", "lowest"]
 Axis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
 Up = Literal["auto", "file", "x", "y", "z", "-x", "-y", "-z"]
 Tier = Literal["standard", "light"]
@@ -93,13 +87,6 @@ CameraName = Literal["overhead", "front", "side", "wrist"]
 FilmFormat = Literal["gif", "mp4"]
 PixelOrigin = Literal["center", "corner"]
 """Where pixel coordinates (0, 0) are in the first pixel."""
-PlacerHead = Literal["scored", "mixture", "regression"]
-PlacerPreset = Literal["cpu", "paper"]
-PlacerLoss = Literal["printed", "symmetric"]
-PlacerNoise = Literal["on", "off", "both"]
-SegmenterInput = Literal["colour", "depth"]
-RobotObserver = Literal["true", "perception"]
-RecordFormat = Literal["lerobot", "robomimic"]
 ExportFormat = Literal[
     "mjcf",
     "mjcf-old",
@@ -120,9 +107,18 @@ ExportFormat = Literal[
 ]
 
 
+REMOVED_METHODS = {
+    "beta": "beta_free, the paper's own; banks of `beta` are read, but neither continued nor replayed"
+}
+"""Methods of version 0.1.0 that nothing makes any more, and what to try instead."""
+
+
 def no_such(what: str, name: str, known: Iterable[str]) -> ConfigError:
     """The error for an unknown name of a method, a variant or a preset."""
     known = tuple(known)
+    if name in REMOVED_METHODS:
+        gone = f"{what} {name!r}, which was removed after version 0.1.0"
+        return ConfigError(gone, ", ".join(known), REMOVED_METHODS[name])
     return ConfigError(f"{what} {name!r}", ", ".join(known), meant=closest(name, known))
 
 
@@ -193,23 +189,7 @@ def check_workers(argument: str, number: int) -> None:
 
 
 # Of a split of a data set: what a larger number means is a slip of the hand.
-MAX_PAIRS = 10_000_000
 MAX_VIEWS = 1_000_000
-
-MAX_NOISE = 10.0
-"""Times the noise of a usual depth camera."""
-
-
-def check_noise(noise: object) -> None:
-    """Refuses what is no sequence of factors of the usual noise (ConfigError)."""
-    factors = list(noise) if isinstance(noise, Iterable) and not isinstance(noise, str) else []
-    if not factors or not all(
-        isinstance(each, Real) and 0 <= float(each) <= MAX_NOISE for each in factors
-    ):
-        raise ConfigError(
-            f"noise = {noise!r}", f"one number or more, 0 to {MAX_NOISE:g}", "noise=(0, 1)"
-        )
-
 
 Detector = Literal["native", "libccd"]
 DETECTORS: tuple[Detector, ...] = get_args(Detector)

@@ -1,7 +1,7 @@
 """Errors: each says what was given, what is allowed, and what to try."""
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 _LONGEST = 2000
 """Letters of a message's first part."""
@@ -20,6 +20,12 @@ def printable(text: str) -> str:
         else each.encode("unicode_escape").decode("ascii")
         for each in text
     )
+
+
+def first_names(names: Sequence[str], most: int, others: str = " and {} more") -> str:
+    """The first names, joined by commas, and how many others there are."""
+    more = others.format(len(names) - most) if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 def range_text(least: int, most: int, nothing: str = "none") -> str:

@@ -98,6 +98,41 @@ def yaw_matrix(yaw: float) -> np.ndarray:
     return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
 
+def cross_2d(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """f64[...]: the cross product of f64[..., 2]: twice the signed area between them."""
+    return one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
+
+
+def triangle_areas(triangles: np.ndarray) -> np.ndarray:
+    """f64[M]: twice the signed areas of f64[M, 3, 2]."""
+    return cross_2d(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+
+
+def across(direction: np.ndarray) -> np.ndarray:
+    """f64[3]: a unit vector at right angles to one; zero where that is zero."""
+    side = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
+    return side / max(float(np.linalg.norm(side)), 1e-300)
+
+
+def plane_axes(normal: np.ndarray) -> np.ndarray:
+    """f64[3, 2]: two axes in which what lies in a plane is seen along its normal, counter-clockwise."""
+    unit = normal / max(float(np.linalg.norm(normal)), 1e-300)
+    side = across(unit)
+    return np.stack([side, np.cross(unit, side)], axis=1)
+
+
+def box_corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """f64[4, 2]: the corners of a rectangle along the axes, counter-clockwise from the lowest."""
+    return np.array([low, (high[0], low[1]), high, (low[0], high[1])])
+
+
+def cell_centers(lower: np.ndarray, cell: ArrayLike, shape: ArrayLike) -> np.ndarray:
+    """f64[X, Y, 2]: the middles of X x Y cells of a grid that begins at `lower`, f64[2]."""
+    sides = np.broadcast_to(cell, 2)
+    axes = [lower[k] + sides[k] * (np.arange(np.asarray(shape)[k]) + 0.5) for k in (0, 1)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+
+
 def rotate_in_plane(points: ArrayLike, yaw: float) -> np.ndarray:
     """f64[..., 2]: points of the plane turned about the origin."""
     cos = math.cos(yaw)

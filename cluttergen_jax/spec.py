@@ -182,10 +182,10 @@ class SceneSpec:
       clearance: metres between the boxes of objects, and to the region's sides, that "packed" leaves; 0.003
         if not given.
       method: how poses are proposed: "guided", "spread", "drop", "clear", "random", or a policy trained for
-        the pool: "policy", "beta_free", "normal", "open_loop", "short_memory", or "beta", of which none is
-        embedded; "packed": upright, side by side, on others only as many as `clutter` allows by stack; or
-        "pile": all objects fall into a heap, in any orientation, as in a bin. If not given: the checkpoint's
-        own, else "guided" ("spread" where no checkpoint of it is embedded).
+        the pool: "policy", "beta_free", "normal", "open_loop" or "short_memory"; "packed": upright, side by
+        side, on others only as many as `clutter` allows by stack; or "pile": all objects fall into a heap, in
+        any orientation, as in a bin. If not given: the checkpoint's own, else "guided" ("spread" where no
+        checkpoint of it is embedded).
       checkpoint: the policy's folder; the embedded one for the pool if not given.
       engine: "auto", "native", "warp" or "jax".
       num_threads: simulation threads of the native engine; 0 takes every core.

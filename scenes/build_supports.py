@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cluttergen_jax.assets.modeller.furniture import SUPPORTS, make_support
 from cluttergen_jax.assets.support_file import write_support
+from scenes.furniture import SUPPORTS, make_support
 
 
 def build(root: Path) -> list[Path]:

@@ -3,38 +3,43 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from cluttergen_jax.api.text import scene_numbers
 from cluttergen_jax.config import CameraName, ExportFormat
 from cluttergen_jax.errors import BankError, ConfigError
 
+if TYPE_CHECKING:
+    from cluttergen_jax.scene import Scene
+    from cluttergen_jax.scene.export import Format
+
 _MANY = 10
 
 
 def export(
-    source: str | Path,
+    source: str | Path | Scene | Iterable[Scene],
     out: str | Path,
-    format: ExportFormat = "mjcf",
+    format: ExportFormat | str | Format = "mjcf",
     *,
     scenes: Sequence[int] | str | None = None,
     cameras: Sequence[CameraName] = (),
     grasps: str | Path | None = None,
     overwrite: bool = False,
 ) -> Path:
-    """Writes scenes of a bank as a self-contained folder for another program (`cluttergen export`).
-
-    `cluttergen_jax.scene.export.export_scenes` does the same for scenes of a sampler.
+    """Writes scenes as a self-contained folder for another program (`cluttergen export`).
 
     Args:
-      source: a bank; or one scene of it: BANK:INDEX, or its file BANK/scenes/000003.xml.
+      source: a bank; or one scene of it: BANK:INDEX, or its file BANK/scenes/000003.xml. In Python also a
+        `Scene`, or several that share support, contact parameters and time step.
       out: the folder to make.
       format: "mjcf" (MuJoCo), "mjcf-old" (MuJoCo before 3.2.3), "mjcf-joints" (drawers and
         doors of the support can move), "urdf" (PyBullet), "sdf" (Drake, Gazebo),
         "usd" (Isaac, Omniverse), "glb" (any viewer), "maniskill", "robosuite", "libero", "robocasa",
         "molmospaces" or "arena" (Isaac Lab-Arena). "mjlab", "playground" (MuJoCo Playground) and "lerobot"
-        (EnvHub) are the whole bank with a script that uses it there.
+        (EnvHub) are the whole bank with a script that uses it there. FILE.py:NAME or MODULE:NAME is one of
+        your own, a `Format` that this variable holds; in Python also the `Format` itself.
       scenes: numbers such as 0,3,7 or 0-9; all successful ones if not given. In Python also a list.
       cameras: cameras around the support, to be added to every scene: "overhead", "front", "side", "wrist".
       grasps: grasps to write beside objects, with "molmospaces": a file of `cluttergen robot grasps --out`.
@@ -46,7 +51,8 @@ def export(
     Raises:
       BankError: there is no such bank or scene, or none that succeeds; or another export is being written to
         `out`.
-      ConfigError: there is no such format or camera, two answers to one question, or grasps of other objects.
+      ConfigError: there is no such format or camera, two answers to one question, grasps of other objects,
+        or `source` is neither a bank nor scenes.
       MissingExtraError: the format needs an extra that is not installed.
     """
     from cluttergen_jax.progress import track
@@ -58,6 +64,25 @@ def export(
     from cluttergen_jax.scene.export import BANK_FORMATS, export_bank, export_scenes
     from cluttergen_jax.scene.export.formats import find_format
 
+    takes_bank = isinstance(format, str) and format in BANK_FORMATS
+    kind = None if takes_bank else find_format(format)
+    if kind is not None and cameras and not kind.takes_cameras:
+        note = f"note: cameras stand in scenes/*.json alone: what {kind.name} reads has none"
+        print(note, file=sys.stderr)
+    if not isinstance(source, str | Path):
+        if scenes is not None:
+            raise ConfigError("`scenes` beside scenes themselves", "one of the two")
+        if kind is None:
+            given = f"scenes with the format {format!r}, which takes a whole bank"
+            raise ConfigError(given, "a bank", "`cluttergen_jax.generate`")
+        return export_scenes(
+            _scenes_of(source),
+            out,
+            kind,
+            overwrite=overwrite,
+            cameras=tuple(cameras),
+            grasps=grasps,
+        )
     numbers = scene_numbers(scenes)
     named = parse_reference(str(source))
     if named is None:
@@ -68,7 +93,7 @@ def export(
             raise ConfigError(f"`scenes` beside the single scene {source}", "one of the two")
         numbers = [own]
     bank = read_bank(path)
-    if format in BANK_FORMATS:
+    if kind is None:
         options = {"scenes": numbers, "cameras": tuple(cameras), "grasps": grasps}
         if given := ", ".join(f"`{name}`" for name, value in options.items() if value):
             text = f"{given} with the format {format!r}, which takes the whole bank"
@@ -78,13 +103,27 @@ def export(
         for text in local_paths(bank):
             print(f"note: the bank's record names a path of this machine: {text}", file=sys.stderr)
         objects = [bank.object(name) for name in sorted(bank.assets["objects"])]
-        return export_bank(bank.path, bank.support, objects, indices, out, format, overwrite)
-    if cameras and not find_format(format).takes_cameras:
-        note = f"note: cameras stand in scenes/*.json alone: what {format} reads has none"
-        print(note, file=sys.stderr)
+        return export_bank(bank.path, bank.support, objects, indices, out, str(format), overwrite)
     total = len(good_indices(bank) if numbers is None else select_rows(bank, numbers))
     read = read_scenes(bank, numbers)
     shown = read if total <= _MANY else track(read, "exporting", total, "scene")
     return export_scenes(
-        shown, out, format, overwrite=overwrite, cameras=tuple(cameras), grasps=grasps
+        shown, out, kind, overwrite=overwrite, cameras=tuple(cameras), grasps=grasps
     )
+
+
+def _scenes_of(source: Any) -> list[Scene]:
+    """The scenes that were given, one or several (ConfigError)."""
+    from cluttergen_jax.scene import Scene
+
+    given = [source] if isinstance(source, Scene) or not isinstance(source, Iterable) else source
+    scenes = list(given)
+    wrong = [each for each in scenes if not isinstance(each, Scene)]
+    if wrong or hasattr(source, "is_success"):
+        what = type(source if hasattr(source, "is_success") else wrong[0]).__name__
+        raise ConfigError(
+            f"`source` of {what}",
+            "a bank, a `Scene`, or several",
+            "`sampler.scene(sampled)`, which makes a `Scene` of what a sampler drew",
+        )
+    return scenes

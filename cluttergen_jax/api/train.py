@@ -85,7 +85,7 @@ def train(
         (as printed, with smaller clouds); the paper's three want `encoder_weights`, or `encoder` for one that
         is trained along.
       variant: "guided" (no policy: one network for every pool, which takes `num_attempts`, `seed` and `out`
-        alone), "policy" (the full method), "open_loop", "short_memory", "normal", "beta" or "beta_free".
+        alone), "policy" (the full method), "open_loop", "short_memory", "normal" or "beta_free".
       num_attempts: environment steps of the run; the preset's if not given.
       num_envs: environments side by side; the preset's if not given.
       seed: of weights, episodes and actions, 0 to 4294967295.

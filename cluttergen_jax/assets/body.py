@@ -10,25 +10,24 @@ import numpy as np
 from cluttergen_jax.assets.cloud import surface_cloud
 from cluttergen_jax.assets.config import DecompositionConfig
 from cluttergen_jax.assets.decompose import decompose, decompositions
-from cluttergen_jax.assets.mass import MassProperties, choose_mass, mass_alarm, mass_properties
-from cluttergen_jax.assets.mesh import join_meshes
-from cluttergen_jax.assets.mesh_repair.orientation import orient_faces
-from cluttergen_jax.assets.mesh_repair.simplify import simplify_pieces
-from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, RestingPose
-from cluttergen_jax.assets.parts import MAX_BASE_CORNERS, as_meshes, finish_parts, hull_of
-from cluttergen_jax.assets.quality.deviation import deviation, gap_alarm, size_alarm
-from cluttergen_jax.assets.quality.hollow import (
+from cluttergen_jax.assets.deviation import deviation, gap_alarm, size_alarm
+from cluttergen_jax.assets.hollow import (
     MAX_FILL,
-    Hollow,
+    HollowSpace,
     find_hollow,
     holds_ball,
     known_hollow,
 )
+from cluttergen_jax.assets.mass import MassProperties, choose_mass, mass_alarm, mass_properties
+from cluttergen_jax.assets.mesh import join_meshes
+from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, RestingPose
+from cluttergen_jax.assets.orientation import orient_faces
+from cluttergen_jax.assets.parts import MAX_BASE_CORNERS, as_meshes, finish_parts, hull_of
 from cluttergen_jax.assets.settle import resting_poses, settled_turn, tilt_of, upright_turn
 from cluttergen_jax.assets.shape import Provenance, Shape
 from cluttergen_jax.assets.solid import Solid, solid_of
-from cluttergen_jax.assets.stances import upright_stance
-from cluttergen_jax.assets.upright import usual_poses
+from cluttergen_jax.assets.stances import upright_stance, usual_poses
+from cluttergen_jax.assets.visuals import simplify_pieces
 from cluttergen_jax.errors import AssetError, ConfigError
 
 MAX_DEVIATION = 0.05
@@ -72,7 +71,7 @@ class _Candidate:
     raw: list[np.ndarray]
     parts: list[np.ndarray]
     rotation: np.ndarray
-    hollow: Hollow | None
+    hollow: HollowSpace | None
     deviation: float
     fill: float | None
     holds: bool | None
@@ -259,7 +258,7 @@ def _candidate(
     parts, rotation = _at_rest(raw, mass, corners, _FOOT_LOSS if shape.is_from_file else np.inf)
     turned = solid.rotate(rotation)
     if shape.cavity is not None:
-        hollow: Hollow | None = known_hollow(shape.cavity).transform(rotation, np.zeros(3))
+        hollow: HollowSpace | None = known_hollow(shape.cavity).transform(rotation, np.zeros(3))
     elif shape.parts is not None and not shape.is_from_file:
         # A modelled object without a cavity has none.
         hollow = None

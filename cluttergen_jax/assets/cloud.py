@@ -33,7 +33,7 @@ def sample_faces(mesh: Mesh, count: int, seed: int) -> Samples:
 
 def _sample_blocks(mesh: Mesh, count: int, size: int, seed: int) -> Iterator[Samples]:
     """The points of `sample_faces`, so many at a time."""
-    area = np.cumsum(np.linalg.norm(mesh.normals, axis=1))
+    area = np.cumsum(mesh.areas)
     rng = np.random.default_rng(seed)
     corners = mesh.corners
     places = rng.uniform(0, area[-1], count)
@@ -118,20 +118,24 @@ _PER_SQUARE_METRE = 4000
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Points of a scene."""
+    """Points of a scene.
 
-    points: np.ndarray  # f32[P, 3], metres, world frame.
-    colours: np.ndarray  # uint8[P, 3].
-    labels: (
-        np.ndarray
-    )  # i32[P]: 1 for the support's top, 2 + k for object k (as in `sensing.rays`).
+    Attributes:
+      points: f32[P, 3], metres, world frame.
+      colours: uint8[P, 3].
+      labels: i32[P]: 1 for the support's top, 2 + k for object k (as in `sensing.rays`).
+    """
+
+    points: np.ndarray
+    colours: np.ndarray
+    labels: np.ndarray
 
 
 def cloud_colours(asset: ObjectAsset) -> np.ndarray:
     """uint8[1024, 3]: the colour of the surface next to each point of the asset's cloud."""
     if not asset.pieces:
         return np.full((len(asset.cloud), 3), 180, np.uint8)
-    areas = np.array([np.linalg.norm(piece.mesh.normals, axis=1).sum() for piece in asset.pieces])
+    areas = np.array([piece.mesh.areas.sum() for piece in asset.pieces])
     counts = np.ceil(_DENSE * len(asset.cloud) * areas / max(areas.sum(), 1e-30)).astype(int)
     spots = [np.zeros((0, 3))]
     shades = [np.zeros((0, 3))]

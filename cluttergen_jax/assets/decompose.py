@@ -12,11 +12,11 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from cluttergen_jax.assets.cloud import sample_solid, sample_surface
 from cluttergen_jax.assets.config import DecompositionConfig
+from cluttergen_jax.assets.deviation import deviation, is_within_parts
 from cluttergen_jax.assets.exact_parts import exact_parts
+from cluttergen_jax.assets.hollow import find_hollow
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.parts import hull_of
-from cluttergen_jax.assets.quality.deviation import deviation, is_within_parts
-from cluttergen_jax.assets.quality.hollow import find_hollow
+from cluttergen_jax.assets.parts import heights_over, hull_of
 from cluttergen_jax.assets.solid import Solid, simplify_solid
 from cluttergen_jax.assets.voxels import Voxels
 from cluttergen_jax.errors import AssetError
@@ -132,7 +132,7 @@ class _Judge:
 def _depths(points: np.ndarray, hull: ConvexHull) -> np.ndarray:
     """f64[M]: how deep those of the points are inside of a hull that are in the box around it."""
     near = points[((points > hull.min_bound) & (points < hull.max_bound)).all(1)]
-    return -(near @ hull.equations[:, :3].T + hull.equations[:, 3]).max(1, initial=-np.inf)
+    return -heights_over(near, hull).max(1, initial=-np.inf)
 
 
 _MOST_RAW = 96

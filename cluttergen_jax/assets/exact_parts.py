@@ -2,6 +2,8 @@
 
 Machined, printed and modelled things have such components: convex ones, layers of prisms and solids of
 revolution. What goes through a hole of a prism goes through between its parts: they are around it.
+
+Outlines of flat areas have the solid on their left: outer ones run counter-clockwise, holes clockwise.
 """
 
 from __future__ import annotations
@@ -15,11 +17,180 @@ import numpy as np
 
 from cluttergen_jax.assets.mass import mass_properties
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.outlines import convex_pieces, hole_radius, outlines_around, signed_area
-from cluttergen_jax.assets.parts import hull_of
+from cluttergen_jax.assets.parts import heights_over, hull_of
 from cluttergen_jax.assets.settle import upright_turn
 from cluttergen_jax.assets.solid import Solid, as_manifold, is_convex
 from cluttergen_jax.errors import AssetError
+from cluttergen_jax.geometry import cross_2d
+
+_HOLE_SHARE = 0.09
+_FACTORS = (1.0, 0.5, 0.2)
+_FAR = 10.0
+"""Metres: farther than any object reaches."""
+_STRAIGHT = 1e-6
+_NOTHING = 1e-6
+_MOST_CUT = 64
+"""Pieces: of areas with more, cuts cost too much."""
+
+
+def signed_area(ring: np.ndarray) -> float:
+    """Square metres, below zero where it runs clockwise, as around a hole."""
+    x, y = (ring - ring.mean(0)).T
+    return float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2)
+
+
+def outlines_around(
+    section: manifold3d.CrossSection, reach: float, lost: float
+) -> list[np.ndarray]:
+    """The outlines of an area, f64[N, 2] each, concave ones with fewer corners and a little farther out.
+
+    Args:
+      reach: metres that they may be farther out, of holes 9 % of their radius at most.
+      lost: share of the area that may be lost. What is thin is not cut through.
+    """
+    rings = [np.asarray(ring) for ring in section.to_polygons()]
+    for factor in _FACTORS:
+        plain = []
+        for ring in rings:
+            most = reach if signed_area(ring) > 0 else min(reach, _HOLE_SHARE * hole_radius(ring))
+            plain.append(_without_edges(ring, factor * most))
+        around = manifold3d.CrossSection(plain)
+        if around.num_contour() == len(rings) and around.area() > (1 - lost) * section.area():
+            return [np.asarray(ring) for ring in around.to_polygons()]
+    return rings
+
+
+def hole_radius(ring: np.ndarray) -> float:
+    """Metres, of a circle of the same area."""
+    return float(np.sqrt(abs(signed_area(ring)) / np.pi))
+
+
+def _without_edges(ring: np.ndarray, reach: float) -> np.ndarray:
+    """A closed outline without edges between concave corners, as many at a time as come close.
+
+    The edges before and after are made longer until they meet, no farther than `reach` from the outline.
+    """
+    number = len(ring)
+    sides = np.roll(ring, -1, 0) - ring
+    is_concave = cross_2d(np.roll(sides, 1, 0), sides) < 0
+    # Where it can, it begins with an edge that stays.
+    first = int(np.argmin(is_concave))
+    corners = []
+    edge = first
+    while edge < first + number:
+        after = edge + 1
+        corner = ring[(edge + 1) % number]
+        while (
+            after < first + number
+            and is_concave[after % number]
+            and is_concave[(after + 1) % number]
+        ):
+            meet = _meeting(ring, sides, edge % number, (after + 1) % number)
+            if meet is None or _distance(meet, ring, sides) > reach:
+                break
+            after = after + 1
+            corner = meet
+        corners.append(corner)
+        edge = after
+    return np.array(corners)
+
+
+def _meeting(ring: np.ndarray, sides: np.ndarray, edge: int, other: int) -> np.ndarray | None:
+    """Where an edge, made longer at its end, meets another, made longer at its beginning."""
+    bend = cross_2d(sides[edge], sides[other])
+    if bend >= 0:
+        return None
+    share = cross_2d(ring[other] - ring[edge], sides[other]) / bend
+    return ring[edge] + share * sides[edge] if share >= 1 else None
+
+
+def _distance(point: np.ndarray, ring: np.ndarray, sides: np.ndarray) -> float:
+    """Metres from a point to an outline."""
+    apart = point - ring
+    share = np.clip((apart * sides).sum(1) / (sides**2).sum(1), 0, 1)
+    return float(np.linalg.norm(apart - share[:, None] * sides, axis=1).min())
+
+
+def convex_pieces(rings: list[np.ndarray]) -> list[np.ndarray]:
+    """Convex polygons, f64[N, 2] each, that fill the area inside of outlines, by the better of two ways."""
+    joined = _joined_triangles(rings)
+    return _cut_along_edges(rings, min(len(joined), _MOST_CUT)) or joined
+
+
+def _cut_along_edges(rings: list[np.ndarray], most: int) -> list[np.ndarray]:
+    """Pieces by cuts all across along edges between concave corners; none where they are more than `most`."""
+    whole = manifold3d.CrossSection(rings)
+    todo = [whole]
+    done: list[np.ndarray] = []
+    while todo and len(todo) + len(done) <= most:
+        region = todo.pop()
+        outlines = [np.asarray(ring) for ring in region.to_polygons()]
+        edge = max(map(_concave_edge, outlines), key=lambda each: each[0])
+        if not edge[0]:
+            done += outlines
+            continue
+        beyond = _half_plane(edge[1], edge[2])
+        sides = [piece for side in (region ^ beyond, region - beyond) for piece in side.decompose()]
+        sides = [piece for piece in sides if piece.area() > _NOTHING * whole.area()]
+        if len(sides) < 2:
+            return []
+        todo += sides
+    return [] if todo else done
+
+
+def _concave_edge(ring: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """An edge with concave corners, from and to; the number tells which to prefer, and is 0 without such."""
+    sides = np.roll(ring, -1, 0) - ring
+    length = np.linalg.norm(sides, axis=1)
+    is_concave = cross_2d(np.roll(sides, 1, 0), sides) < -_STRAIGHT * np.roll(length, 1) * length
+    merit = (is_concave + np.roll(is_concave, -1).astype(float)) * (1 + length / length.sum())
+    best = int(merit.argmax())
+    return float(merit[best]), ring[best], ring[(best + 1) % len(ring)]
+
+
+def _half_plane(start: np.ndarray, end: np.ndarray) -> manifold3d.CrossSection:
+    """What is left of a line, as far as it matters."""
+    along = _FAR * (end - start) / np.linalg.norm(end - start)
+    left = np.array([-along[1], along[0]])
+    return manifold3d.CrossSection(
+        [[start - along, start + along, start + along + left, start - along + left]]
+    )
+
+
+def _joined_triangles(rings: list[np.ndarray]) -> list[np.ndarray]:
+    """Triangles, joined over their longest common edges first wherever no corner becomes concave."""
+    points = np.concatenate([np.zeros((0, 2)), *rings])
+    loops = {
+        index: list(corners) for index, corners in enumerate(manifold3d.triangulate(rings).tolist())
+    }
+    owner = {edge: index for index, loop in loops.items() for edge in _edges(loop)}
+    inner = [(a, b) for a, b in owner if a < b and (b, a) in owner]
+    for a, b in sorted(
+        inner, key=lambda edge: -float(np.linalg.norm(points[edge[0]] - points[edge[1]]))
+    ):
+        left = owner[a, b]
+        right = owner[b, a]
+        # From b around the one to a, and on around the other to b.
+        one = _from(loops[left], b)
+        other = _from(loops[right], a)
+        corners = ((one[-2], a, other[1]), (other[-2], b, one[1]))
+        if any(cross_2d(points[y] - points[x], points[z] - points[y]) < 0 for x, y, z in corners):
+            continue
+        loops[left] = one[:-1] + other[:-1]
+        del loops[right]
+        owner |= dict.fromkeys(_edges(loops[left]), left)
+    return [points[loop] for loop in loops.values()]
+
+
+def _edges(loop: list[int]) -> list[tuple[int, int]]:
+    return list(zip(loop, [*loop[1:], loop[0]], strict=True))
+
+
+def _from(loop: list[int], first: int) -> list[int]:
+    """The loop beginning with `first`."""
+    start = loop.index(first)
+    return loop[start:] + loop[:start]
+
 
 # Cosines between a prism's axis and the normals of its ends, and of its sides: within one degree.
 _FLAT = 0.9998
@@ -91,7 +262,7 @@ def _are_near(parts: list[np.ndarray], points: np.ndarray, reach: float) -> bool
     nearest = np.full(len(points), np.inf)
     for hull in map(hull_of, parts):
         if hull is not None:
-            height = (points @ hull.equations[:, :3].T + hull.equations[:, 3]).max(1)
+            height = heights_over(points, hull).max(1)
             nearest = np.minimum(nearest, height)
     return bool((np.abs(nearest) <= reach).all())
 
@@ -105,7 +276,7 @@ def _prisms(mesh: Mesh, size: float) -> tuple[list[np.ndarray], np.ndarray] | No
 def _axes(mesh: Mesh) -> Iterator[np.ndarray]:
     """Directions along which a mesh may be layers of prisms: normals of much of its area."""
     normals = mesh.normals
-    areas = np.linalg.norm(normals, axis=1)
+    areas = mesh.areas
     units = normals / np.maximum(areas, 1e-30)[:, None]
     _, which = np.unique(np.abs(np.round(units, 3)), axis=0, return_inverse=True)
     common = np.bincount(which.ravel(), areas)
@@ -159,8 +330,7 @@ def _goes_through(ring: np.ndarray, sections: list[manifold3d.CrossSection]) -> 
 
 def _heights(mesh: Mesh, size: float) -> list[float]:
     """Where layers begin and end: the heights of horizontal faces."""
-    normals = mesh.normals
-    is_end = np.abs(normals[:, 2]) > _FLAT * np.linalg.norm(normals, axis=1)
+    is_end = np.abs(mesh.normals[:, 2]) > _FLAT * mesh.areas
     levels = np.sort(np.concatenate([mesh.corners[is_end][:, :, 2].ravel(), mesh.bounds[:, 2]]))
     starts = np.flatnonzero(np.diff(levels, prepend=-np.inf) > 10 * _SAME * size)
     return [float(np.round(group.mean() / _GRID) * _GRID) for group in np.split(levels, starts[1:])]

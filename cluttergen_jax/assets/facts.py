@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary
 import msgspec
 import numpy as np
 
-from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.errors import ConfigError, closest, first_names
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets.object import ObjectAsset
@@ -96,22 +96,15 @@ def _measured_volume(asset: ObjectAsset) -> float:
 
 
 _TEXTS: dict[str, Callable[[ObjectFacts], str]] = {
-    "name": lambda each: each.name,
-    "label": lambda each: each.label,
-    "synset": lambda each: each.synset,
-    "licence": lambda each: each.licence,
-    "source": lambda each: each.source,
+    name: operator.attrgetter(name) for name in ("name", "label", "synset", "licence", "source")
 }
 _NUMBERS: dict[str, Callable[[ObjectFacts], float]] = {
-    "volume": lambda each: each.volume,
-    "mass": lambda each: each.mass,
+    **{name: operator.attrgetter(name) for name in ("volume", "mass", "parts", "flagged")},
     "x": lambda each: each.size[0],
     "y": lambda each: each.size[1],
     "height": lambda each: each.size[2],
     "width": lambda each: max(each.size[:2]),
     "depth": lambda each: min(each.size[:2]),
-    "parts": lambda each: each.parts,
-    "flagged": lambda each: each.flagged,
 }
 _SIGNS: dict[str, Callable[[float, float], bool]] = {
     "<=": operator.le,
@@ -198,8 +191,7 @@ def chosen_names(facts: Sequence[ObjectFacts], chosen: Iterable[str], pool: str)
 def _no_choice(given: str, text: str, facts: Sequence[ObjectFacts]) -> ConfigError:
     """The error for a condition that no object fulfils: it names some, and the most similar one."""
     names = [each.name for each in facts]
-    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-    allowed = f"what one of its objects fulfils: {', '.join(names[:_MOST_NAMED])}{more}"
+    allowed = f"what one of its objects fulfils: {first_names(names, _MOST_NAMED)}"
     return ConfigError(
         given, allowed, f"'{names[0]}', or 'height>0'", closest(text.strip("*?"), names)
     )

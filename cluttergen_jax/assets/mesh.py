@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
 
 
@@ -54,6 +56,16 @@ class Mesh:
         return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
     @property
+    def areas(self) -> np.ndarray:
+        """f64[F]: twice each triangle's area."""
+        return np.linalg.norm(self.normals, axis=1)
+
+    @property
+    def decimals(self) -> int:
+        """To which vertices are one: a millionth of what the mesh measures."""
+        return 6 - int(np.floor(np.log10(max(float(np.ptp(self.vertices)), 1e-9))))
+
+    @property
     def volume(self) -> float:
         """Cubic metres enclosed by a closed mesh, positive if its triangles face outwards."""
         a, b, c = (self.corners[:, i] - self.vertices.mean(0) for i in range(3))
@@ -88,9 +100,8 @@ def clean_mesh(mesh: Mesh, is_closed: bool = False) -> Mesh:
     """
     if not len(mesh.faces):
         return mesh
-    digits = 6 - int(np.floor(np.log10(max(float(np.ptp(mesh.vertices)), 1e-9))))
     _, first, inverse = np.unique(
-        np.round(mesh.vertices, digits), axis=0, return_index=True, return_inverse=True
+        np.round(mesh.vertices, mesh.decimals), axis=0, return_index=True, return_inverse=True
     )
     faces = inverse.reshape(-1)[mesh.faces]
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(1)]
@@ -107,6 +118,27 @@ def clean_mesh(mesh: Mesh, is_closed: bool = False) -> Mesh:
     faces = faces[np.sort(np.unique(which, return_index=True)[1])]
     used, faces = np.unique(faces, return_inverse=True)
     return Mesh(mesh.vertices[first][used], faces.reshape(-1, 3))
+
+
+def connected(pairs: np.ndarray, count: int) -> np.ndarray:
+    """i[count]: which of the sets that pairs, i[N, 2], connect each of so many things belongs to."""
+    links = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(count, count))
+    return connected_components(links, directed=False)[1]
+
+
+def shared_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of the edges behind the corners i64[F, 3], numbered one after another, those of two triangles.
+
+    Returns:
+      i64[N, 2], the pairs of edges that are one; bool[3 F], which edges are in none.
+    """
+    start = faces.reshape(-1)
+    end = np.roll(faces, -1, axis=1).reshape(-1)
+    keys = np.minimum(start, end) * (faces.max(initial=0) + 1) + np.maximum(start, end)
+    _, edge, number = np.unique(keys, return_inverse=True, return_counts=True)
+    is_alone = number[edge.reshape(-1)] != 2
+    order = np.argsort(edge.reshape(-1), kind="stable")
+    return order[~is_alone[order]].reshape(-1, 2), is_alone
 
 
 def _parity(faces: np.ndarray) -> np.ndarray:

@@ -71,7 +71,7 @@ def object_files(asset: ObjectAsset, images: str = "") -> dict[str, bytes]:
     if not NAME_PATTERN.fullmatch(asset.name):
         raise AssetError(f"an object called {asset.name!r}", "names of a-z, 0-9, '_' and '-'")
     files = _surfaces(asset)
-    record = _record(asset, {name: _digest(data) for name, data in files.items()})
+    record = _record(asset, files)
     record["hash"] = _digest(_canonical(record))
     files[_RECORD] = (json.dumps(record, separators=(",", ":")) + "\n").encode()
     if asset.provenance.attribution:
@@ -85,9 +85,7 @@ def object_files(asset: ObjectAsset, images: str = "") -> dict[str, bytes]:
 def object_hash(asset: ObjectAsset) -> str:
     """Hex digest of everything that `write_object` would store."""
     if asset not in _HASHES:
-        files = _surfaces(asset)
-        record = _record(asset, {name: _digest(data) for name, data in files.items()})
-        _HASHES[asset] = _digest(_canonical(record))
+        _HASHES[asset] = _digest(_canonical(_record(asset, _surfaces(asset))))
     return _HASHES[asset]
 
 
@@ -188,7 +186,7 @@ def _round(values: np.ndarray, digits: int) -> Any:
     return (np.round(np.asarray(values, np.float64), digits) + 0.0).tolist()
 
 
-def _record(asset: ObjectAsset, digests: dict[str, str]) -> dict[str, Any]:
+def _record(asset: ObjectAsset, contents: dict[str, bytes]) -> dict[str, Any]:
     files = [None if piece.texture is None else piece.texture.file_name for piece in asset.pieces]
     # Absent where an object has none, so that objects keep the digest that they had before there were any.
     textures = {"textures": files} if any(files) else {}
@@ -218,7 +216,7 @@ def _record(asset: ObjectAsset, digests: dict[str, str]) -> dict[str, Any]:
             "provenance": asset.provenance.record(),
             "quality": asdict(asset.quality),
             "flags": list(asset.flags),
-            "files": digests,
+            "files": {name: _digest(data) for name, data in contents.items()},
         }
     )
 

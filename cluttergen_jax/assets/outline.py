@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cluttergen_jax.geometry import box_corners
+
 Ring = tuple[tuple[float, float], ...]
 """A polygon's corners, one after the other: counter-clockwise around it, clockwise around a hole."""
 
@@ -47,7 +49,7 @@ def outline_of_cells(
         for start, end in steps.reshape(-1, 2):
             low = origin + cell * (x, start)
             high = origin + cell * (x + 1, end)
-            runs.append(np.array([low, (high[0], low[1]), high, (low[0], high[1])]))
+            runs.append(box_corners(low, high))
     return _largest(CrossSection(runs).simplify(tolerance))
 
 

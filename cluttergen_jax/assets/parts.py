@@ -34,6 +34,11 @@ def hull_of(points: np.ndarray) -> ConvexHull | None:
         return None
 
 
+def heights_over(points: np.ndarray, hull: ConvexHull) -> np.ndarray:
+    """f64[N, P]: how far points f64[N, D] are outside of each of a hull's planes."""
+    return points @ hull.equations[:, :-1].T + hull.equations[:, -1]
+
+
 def sound_points(points: np.ndarray) -> np.ndarray:
     """The hull's vertices; points in a plane or nearly so are given a thickness of 0.4 mm first."""
     points = np.unique(np.round(points, 7), axis=0)
@@ -80,7 +85,7 @@ def _grow_hull(points: np.ndarray, chosen: list[int], count: int, tolerance: flo
         hull = hull_of(points[chosen])
         if hull is None:
             break
-        outside = (points @ hull.equations[:, :-1].T + hull.equations[:, -1]).max(1)
+        outside = heights_over(points, hull).max(1)
         outside[chosen] = -np.inf
         farthest = int(outside.argmax())
         if outside[farthest] < tolerance:
@@ -177,13 +182,14 @@ def finish_parts(
     feet = [points[points[:, 2] < bottom + 1e-6] for points in hulls]
     wide = _FOOT_SHARE * _width(np.concatenate(feet))
     lost = foot_loss * float(np.linalg.norm(np.ptp(np.concatenate(hulls), axis=0)))
-    plain = [
-        with_plain_bottom(points, bottom, base_corners)
-        if _width(foot) >= wide
-        else _with_small_foot(points, bottom, base_corners, lost)
-        for points, foot in zip(hulls, feet, strict=True)
-    ]
-    return [reduce_vertices(points, bottom, count) for points in plain]
+    finished = []
+    for points, foot in zip(hulls, feet, strict=True):
+        if _width(foot) >= wide:
+            plain = with_plain_bottom(points, bottom, base_corners)
+        else:
+            plain = _with_small_foot(points, bottom, base_corners, lost)
+        finished.append(reduce_vertices(plain, bottom, count))
+    return finished
 
 
 def _with_small_foot(points: np.ndarray, bottom: float, corners: int, lost: float) -> np.ndarray:
@@ -193,10 +199,7 @@ def _with_small_foot(points: np.ndarray, bottom: float, corners: int, lost: floa
     for most in (each for each in _FOOT_CORNERS if each <= max(corners, _FOOT_CORNERS[0])):
         plain = with_plain_bottom(points, bottom, most)
         outline = hull_of(plain[plain[:, 2] < bottom + 1e-6][:, :2])
-        if (
-            outline is None
-            or (low @ outline.equations[:, :2].T + outline.equations[:, 2]).max() <= lost
-        ):
+        if outline is None or heights_over(low, outline).max() <= lost:
             break
     return plain
 

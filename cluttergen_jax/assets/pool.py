@@ -32,7 +32,7 @@ from cluttergen_jax.assets.object_files import (
     read_object,
     write_object,
 )
-from cluttergen_jax.errors import ClutterGenError, PoolError, closest
+from cluttergen_jax.errors import ClutterGenError, PoolError, closest, first_names
 from cluttergen_jax.files import folder_whole, inside, read_regular, scratch_folder, writing
 from cluttergen_jax.kept_folder import PATIENCE, hold, lock_beside
 from cluttergen_jax.schema import SchemaError, checked_record, convert, with_checksum
@@ -163,10 +163,9 @@ class Pool:
     def __getitem__(self, name: str) -> ObjectAsset:
         """The object called `name`; PoolError names the others if there is none."""
         if name not in self._places:
-            more = f" and {len(self) - _MOST_NAMED} more" if len(self) > _MOST_NAMED else ""
             raise PoolError(
                 f"no object {name!r} in pool {self.name!r}",
-                ", ".join(self.names[:_MOST_NAMED]) + more,
+                first_names(self.names, _MOST_NAMED),
                 meant=closest(name, self.names),
             )
         return self.objects[self._places[name]]
@@ -261,8 +260,7 @@ def read_pool(path: str | Path, names: Sequence[str] = ()) -> Pool:
         raise PoolError(f"{index_path} names an object twice", hint=_AGAIN)
     facts = index.facts if index.facts_format == FACTS_FORMAT else []
     objects = StoredObjects(readers, {each.name: each for each in facts})
-    kept = objects if len(objects) > MOST_READ else tuple(objects)
-    return Pool(index.name, kept, index.tier, index.licence)
+    return Pool(index.name, _all_if_few(objects), index.tier, index.licence)
 
 
 _AGAIN = "importing or building the pool again"
@@ -442,9 +440,12 @@ def _union(name: str, pools: list[Pool]) -> Pool:
     ]
     licences = dict.fromkeys(pool.licence or "not stated" for pool in pools)
     readers = {own: partial(_rename_object, pool, name, own) for own, pool, name in called}
-    objects = StoredObjects(readers)
-    kept = objects if len(objects) > MOST_READ else tuple(objects)
-    return Pool(name, kept, pools[0].tier, "; ".join(licences))
+    objects = _all_if_few(StoredObjects(readers))
+    return Pool(name, objects, pools[0].tier, "; ".join(licences))
+
+
+def _all_if_few(objects: StoredObjects) -> Sequence[ObjectAsset]:
+    return objects if len(objects) > MOST_READ else tuple(objects)
 
 
 def _rename_object(pool: Pool, name: str, own: str) -> ObjectAsset:

@@ -31,7 +31,7 @@ class Piece:
         repeated beyond [0, 1]. A vertex on a seam of the image comes once for each side.
       texture: the image. Either both `uv` and `texture` are given, or neither.
       colours: u8[V, 3], sRGB, a colour for each vertex that `rgba` multiplies, until an image is made of them
-        (`baking.bake_colours`); never beside an image.
+        (`visuals.bake_colours`); never beside an image.
       baked_side: pixels a side that the image may have, where it was made so; 0 for other images.
     """
 
@@ -65,10 +65,10 @@ class Piece:
     def is_flat(self) -> bool:
         """Whether it lies in a plane, so that it has no volume about its own middle: such as a sticker."""
         normals = self.mesh.normals
-        areas = np.linalg.norm(normals, axis=1)
+        areas = self.mesh.areas
         if not areas.any():
             return True
-        centers = self.mesh.vertices[self.mesh.faces].mean(1)
+        centers = self.mesh.corners.mean(1)
         apart = centers - np.average(centers, axis=0, weights=areas)
         return bool(np.abs((normals * apart).sum(1)).sum() <= _FLAT * areas.sum())
 
@@ -76,11 +76,12 @@ class Piece:
     def mean_rgba(self) -> tuple[float, float, float, float]:
         """One colour for the whole: `rgba`, times the mean over the vertices of what it multiplies."""
         if self.colours is not None:
-            r, g, b = (self.colours.mean(0) / 255 * self.rgba[:3]).tolist()
-            return (r, g, b, self.rgba[3])
-        if self.uv is None or self.texture is None:
+            mean = self.colours.mean(0) / 255
+        elif self.uv is not None and self.texture is not None:
+            mean = self.texture.at(self.uv).mean(0)
+        else:
             return self.rgba
-        r, g, b = (self.texture.at(self.uv).mean(0) * self.rgba[:3]).tolist()
+        r, g, b = (mean * self.rgba[:3]).tolist()
         return (r, g, b, self.rgba[3])
 
 
@@ -213,7 +214,7 @@ class Shape:
       notes: what its reader decided on the user's behalf, in words.
       colliding: all that collides according to its file, whether or not it can serve as `parts`.
       scale: the factor on the file's lengths that was asked for.
-      is_pose_free: whether its authored pose may give way to the one in which people put it (`upright`).
+      is_pose_free: whether its authored pose may give way to the one in which people put it (`stances`).
       stated_up: what its file states about the vertical axis, in words; such a pose gives way only where the
         object does not stand so. Empty if the file says nothing.
       is_from_file: whether a file is all that is known of it: whether it is hollow is looked for.
@@ -252,12 +253,13 @@ class Shape:
         return replace(
             self,
             pieces=tuple(piece.transform(rotation, still) for piece in self.pieces),
-            parts=None if self.parts is None else _rotate_meshes(self.parts, rotation),
+            parts=None if self.parts is None else rotate_meshes(self.parts, rotation),
             cavity=cavity,
             stated=None if self.stated is None else self.stated.convert(rotation, 1.0),
-            colliding=_rotate_meshes(self.colliding, rotation),
+            colliding=rotate_meshes(self.colliding, rotation),
         )
 
 
-def _rotate_meshes(meshes: tuple[Mesh, ...], rotation: np.ndarray) -> tuple[Mesh, ...]:
+def rotate_meshes(meshes: tuple[Mesh, ...], rotation: np.ndarray) -> tuple[Mesh, ...]:
+    """Meshes with every point p at rotation @ p."""
     return tuple(mesh.transform(rotation, np.zeros(3)) for mesh in meshes)

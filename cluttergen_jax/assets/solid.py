@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.mesh import Mesh, clean_mesh, join_meshes
 from cluttergen_jax.assets.parts import hull_of
-from cluttergen_jax.assets.voxels import Voxels
+from cluttergen_jax.assets.voxels import Voxels, grown
 from cluttergen_jax.errors import AssetError
 
 _MAX_PIECES = 64
@@ -27,16 +27,19 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """The space that an object takes."""
+    """The space that an object takes.
 
-    mesh: Mesh  # Watertight and oriented outwards, without inner walls.
-    is_exact: (
-        bool  # Whether it is made of the object's own triangles; else it was rebuilt from a grid.
-    )
-    surface: Mesh  # What was given: all triangles, welded.
-    components: tuple[
-        Mesh, ...
-    ] = ()  # Closed surfaces whose union is `mesh`; none of rebuilt or fine ones.
+    Attributes:
+      mesh: watertight and oriented outwards, without inner walls.
+      is_exact: whether it is made of the object's own triangles; else it was rebuilt from a grid.
+      surface: what was given: all triangles, welded.
+      components: closed surfaces whose union is `mesh`; none of rebuilt or fine ones.
+    """
+
+    mesh: Mesh
+    is_exact: bool
+    surface: Mesh
+    components: tuple[Mesh, ...] = ()
 
     @property
     def volume(self) -> float:
@@ -45,7 +48,7 @@ class Solid:
 
     def shells(self) -> list[manifold3d.Manifold]:
         """Its pieces that do not touch one another; the surfaces of hollows inside are none."""
-        return [each for each in as_manifold(self.mesh).decompose() if each.volume() > 0]
+        return _solid_pieces(as_manifold(self.mesh))
 
     def rotate(self, rotation: np.ndarray) -> Solid:
         """The solid with every point p at rotation @ p."""
@@ -80,13 +83,9 @@ def solid_of(meshes: Sequence[Mesh]) -> Solid:
             "a surface that lies in a plane or on a line", "a mesh of an object with some thickness"
         )
     shells = _closed_shells(meshes) if len(meshes) <= _MAX_PIECES else []
-    united = (
-        _as_mesh(manifold3d.Manifold.batch_boolean(shells, manifold3d.OpType.Add))
-        if shells
-        else None
-    )
-    is_exact = united is not None and _covers(united, surface)
-    mesh = united if united is not None and is_exact else _rebuild(surface)
+    united = _as_mesh(_union(shells)) if shells else surface
+    is_exact = bool(shells) and _covers(united, surface)
+    mesh = united if is_exact else _rebuild(surface)
     if len(mesh.faces) == 0:
         raise AssetError(
             "a surface that encloses nothing", "a mesh of an object with some thickness"
@@ -111,7 +110,11 @@ def enclosed_volume(meshes: Sequence[Mesh]) -> float | None:
 
 def union_volume(solids: Sequence[manifold3d.Manifold]) -> float:
     """Cubic metres that solids fill together, each place counted once."""
-    return float(manifold3d.Manifold.batch_boolean(list(solids), manifold3d.OpType.Add).volume())
+    return float(_union(solids).volume())
+
+
+def _union(solids: Sequence[manifold3d.Manifold]) -> manifold3d.Manifold:
+    return manifold3d.Manifold.batch_boolean(list(solids), manifold3d.OpType.Add)
 
 
 def is_convex(mesh: Mesh) -> bool:
@@ -133,6 +136,11 @@ def as_manifold(mesh: Mesh) -> manifold3d.Manifold:
     return manifold3d.Manifold(raw)
 
 
+def _solid_pieces(manifold: manifold3d.Manifold) -> list[manifold3d.Manifold]:
+    """Its components without the voids inside of others."""
+    return [each for each in manifold.decompose() if each.volume() > 0]
+
+
 def _as_mesh(manifold: manifold3d.Manifold) -> Mesh:
     raw = manifold.to_mesh64()
     return Mesh(raw.vert_properties[:, :3], raw.tri_verts)
@@ -146,8 +154,7 @@ def _covers(united: Mesh, surface: Mesh) -> bool:
     voxels = Voxels.of(united)
     lower, upper = united.bounds
     is_near = (surface.vertices > lower - voxels.pitch) & (surface.vertices < upper + voxels.pitch)
-    solid = binary_dilation(voxels.solid, np.ones((3, 3, 3), bool))
-    return bool(is_near.all() and solid[voxels.index(surface.vertices)].all())
+    return bool(is_near.all() and grown(voxels.solid)[voxels.index(surface.vertices)].all())
 
 
 def _closed_shells(meshes: Sequence[Mesh]) -> list[manifold3d.Manifold]:
@@ -168,7 +175,7 @@ def _shells(mesh: Mesh) -> list[manifold3d.Manifold]:
         if manifold.status() != manifold3d.Error.NoError or manifold.is_empty():
             return []
         if manifold.volume() > 0:
-            return [each for each in manifold.decompose() if each.volume() > 0]
+            return _solid_pieces(manifold)
     return []
 
 
@@ -194,7 +201,7 @@ def _rebuild(surface: Mesh, cells: int = 80) -> Mesh:
     """
     voxels = Voxels.of(surface, cells)
     # What lies deep inside counts as filled: only the skin is drawn.
-    skin = voxels.surface & binary_dilation(voxels.outside, np.ones((3, 3, 3), bool))
+    skin = voxels.surface & grown(voxels.outside)
     tree = cKDTree(voxels.samples[skin[voxels.index(voxels.samples)]])
     offset = 0.8 * voxels.pitch
     field = np.where(voxels.outside, -1.0, 1.0) * 2 * voxels.pitch
@@ -206,11 +213,10 @@ def _rebuild(surface: Mesh, cells: int = 80) -> Mesh:
     lower = voxels.origin
     upper = voxels.origin + (np.array(field.shape) - 1) * voxels.pitch
     manifold = manifold3d.Manifold.level_set(value, [*lower, *upper], voxels.pitch)
-    shells = [each for each in manifold.decompose() if each.volume() > 0]
+    shells = _solid_pieces(manifold)
     if not shells:
         return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
-    filled = manifold3d.Manifold.batch_boolean(shells, manifold3d.OpType.Add)
-    mesh = _as_mesh(filled.simplify(0.1 * voxels.pitch))
+    mesh = _as_mesh(_union(shells).simplify(0.1 * voxels.pitch))
     reach, nearest = tree.query(mesh.vertices)
     share = np.clip(1 - 0.25 * voxels.pitch / np.maximum(reach, 1e-12), 0, 1)
     return Mesh(mesh.vertices + (tree.data[nearest] - mesh.vertices) * share[:, None], mesh.faces)

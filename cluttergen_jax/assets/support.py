@@ -45,6 +45,11 @@ class Box:
     yaw: float = 0.0
     rgba: tuple[float, float, float, float] = PART_RGBA
 
+    @property
+    def outline(self) -> np.ndarray:
+        """f64[4, 2], metres, world x and y, counter-clockwise."""
+        return rectangle_corners(self.center[:2], self.half_extents[:2], self.yaw)
+
 
 @dataclass(frozen=True)
 class Rectangle:
@@ -124,17 +129,19 @@ class Surface:
     @property
     def lowest(self) -> float:
         """Metres: the height of its lowest point."""
+        if self.is_level:
+            return self.position[2]
         points = np.column_stack([self.polygon, np.zeros(len(self.polygon))])
-        return (
-            self.position[2]
-            if self.is_level
-            else float(transform_points(self.pose, points)[:, 2].min())
-        )
+        return float(transform_points(self.pose, points)[:, 2].min())
 
     @property
     def pose(self) -> np.ndarray:
         """f64[7]: where its frame is, position and wxyz."""
         return np.array((*self.position, *self.quaternion))
+
+    def local(self, points: np.ndarray) -> np.ndarray:
+        """f64[N, 3]: points of the world in its frame."""
+        return (points - self.position) @ self.T_world_surface[:3, :3]
 
     @property
     def T_world_surface(self) -> np.ndarray:
@@ -179,12 +186,16 @@ class SupportAsset:
         """All surfaces, the one used by default first. A flat top alone is called "top"."""
         if self.named:
             return self.named
-        level = [
+        tops = [box.outline for box in self.level_boxes] or [self.region.corners]
+        outline, *holes = outline_of_rectangles(tops)
+        return (Surface("top", (0.0, 0.0, self.top), self.region, outline, tuple(holes)),)
+
+    @property
+    def level_boxes(self) -> list[Box]:
+        """Those that end at the height of its top."""
+        return [
             box for box in self.boxes if abs(box.center[2] + box.half_extents[2] - self.top) < LEVEL
         ]
-        tops = [Rectangle(box.center[:2], box.half_extents[:2], box.yaw) for box in level]
-        outline, *holes = outline_of_rectangles([top.corners for top in tops or [self.region]])
-        return (Surface("top", (0.0, 0.0, self.top), self.region, outline, tuple(holes)),)
 
     @property
     def asked(self) -> tuple[tuple[Surface, int], ...]:

@@ -11,9 +11,9 @@ from scipy.ndimage import grey_closing
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shading import collision_pieces
-from cluttergen_jax.assets.support import LEVEL, MOST_SIDE, Rectangle, SupportAsset, Surface
+from cluttergen_jax.assets.support import MOST_SIDE, Rectangle, SupportAsset, Surface
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.geometry import rectangle_corners, rotate_in_plane
+from cluttergen_jax.geometry import cell_centers, rectangle_corners, rotate_in_plane
 
 VOID = -1e3
 """Height of a cell with nothing under it, metres."""
@@ -53,8 +53,7 @@ def ground_heights(boxes: np.ndarray, top: float) -> tuple[np.ndarray, np.ndarra
     high = corners.max(0)
     cell = max(_CELL, float(np.sqrt((high - low).prod() / _MOST_CELLS)))
     counts = np.ceil((high - low) / cell - 1e-4).astype(int)
-    axes = [low[axis] + (np.arange(counts[axis]) + 0.5) * cell for axis in (0, 1)]
-    x, y = np.meshgrid(*axes, indexing="ij")
+    x, y = np.moveaxis(cell_centers(low, cell, counts), -1, 0)
     height = np.full(x.shape, VOID)
     for box in boxes:
         cos = np.cos(box[6])
@@ -107,11 +106,13 @@ _GRID = 41
 
 
 class TopBounds(NamedTuple):
-    """Where a region's corners may lie: `lower` <= corner @ `axes` <= `upper`, world x and y, metres."""
+    """Where a region's corners may lie: `lower` <= corner @ `axes` <= `upper`, world x and y, metres.
 
-    axes: (
-        np.ndarray
-    )  # f64[2, 2], columns along the sides of the support's own region; lower, upper: f64[2].
+    Attributes:
+      axes: f64[2, 2], columns along the sides of the support's own region; lower, upper: f64[2].
+    """
+
+    axes: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
 
@@ -125,14 +126,8 @@ def top_bounds_of(support: SupportAsset) -> TopBounds:
     if support.named:
         rim = support.chosen.polygon @ axes
         return TopBounds(axes, rim.min(0) - _OVERHANG, rim.max(0) + _OVERHANG)
-    heights = [box.center[2] + box.half_extents[2] for box in support.boxes]
-    level = [
-        box for box, z in zip(support.boxes, heights, strict=True) if abs(z - support.top) < LEVEL
-    ]
-    tops = [
-        Rectangle(box.center[:2], box.half_extents[:2], box.yaw) for box in level or support.boxes
-    ]
-    rim = np.concatenate([top.corners for top in tops]) @ axes
+    boxes = support.level_boxes or support.boxes
+    rim = np.concatenate([box.outline for box in boxes]) @ axes
     return TopBounds(axes, rim.min(0) - _OVERHANG, rim.max(0) + _OVERHANG)
 
 
@@ -226,6 +221,11 @@ class SurfaceHeights(NamedTuple):
     origin: np.ndarray
     cell: float
 
+    @property
+    def centers(self) -> np.ndarray:
+        """f64[W, H, 2]: the middles of the cells, in the surface's frame."""
+        return cell_centers(self.origin, self.cell, self.ground.shape)
+
 
 _AROUND = 0.4
 _TOUCH = 0.002
@@ -287,11 +287,7 @@ def _span(
 
 def free_height(heights: SurfaceHeights, region: Rectangle) -> float:
     """Metres from a surface up to the lowest thing over a region of it; inf under the open sky."""
-    x, y = (
-        heights.origin[k] + heights.cell * (np.arange(heights.ground.shape[k]) + 0.5)
-        for k in (0, 1)
-    )
-    xy = np.stack(np.meshgrid(x, y, indexing="ij"), -1) - region.center
+    xy = heights.centers - region.center
     is_over = (np.abs(rotate_in_plane(xy, -region.yaw)) <= region.half_extents).all(-1)
     return float(heights.ceiling[is_over].min(initial=np.inf))
 
@@ -315,8 +311,7 @@ class Overhead:
 
 def level_faces(mesh: Mesh) -> np.ndarray:
     """bool[F]: horizontal triangles, whichever side they were drawn from."""
-    normal = mesh.normals
-    return np.abs(normal[:, 2]) > _LEVEL_COSINE * np.maximum(np.linalg.norm(normal, axis=1), 1e-15)
+    return np.abs(mesh.normals[:, 2]) > _LEVEL_COSINE * np.maximum(mesh.areas, 1e-15)
 
 
 def look_down(mesh: Mesh, lower: np.ndarray, upper: np.ndarray, shape: np.ndarray) -> Overhead:

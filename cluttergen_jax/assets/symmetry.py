@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from cluttergen_jax.assets.cloud import coloured_points
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.geometry import across
 
 TOLERANCE = 0.005
 """Metres that a symmetric object's surface may lie off itself once it is turned; points lie 2 mm apart. It
@@ -38,13 +39,16 @@ class Symmetries:
     """Rigid motions of an object onto itself, in its own frame, as BOP states them.
 
     Any of them may be followed by any turn about one of the axes.
+
+    Attributes:
+      axes: f64[A, 3], unit vectors: the axis of a body of revolution, or three of a ball.
+      point: f64[3], metres: all axes go through it, and no motion moves it.
+      motions: f64[M, 4, 4], metres; the one that moves nothing is left out.
     """
 
-    axes: (
-        np.ndarray
-    )  # f64[A, 3], unit vectors: the axis of a body of revolution, or three of a ball.
-    point: np.ndarray  # f64[3], metres: all axes go through it, and no motion moves it.
-    motions: np.ndarray  # f64[M, 4, 4], metres; the one that moves nothing is left out.
+    axes: np.ndarray
+    point: np.ndarray
+    motions: np.ndarray
 
 
 def turn_symmetry(asset: ObjectAsset) -> int:
@@ -90,7 +94,7 @@ def symmetries_of(pieces: Sequence[Piece]) -> Symmetries:
     if len(axes) > 1:
         return Symmetries(np.eye(3), middle, np.zeros((0, 4, 4)))
     if axes:
-        over = Rotation.from_rotvec(np.pi * _across(axes[0])).as_matrix()
+        over = Rotation.from_rotvec(np.pi * across(axes[0])).as_matrix()
         turns = [over] if test.has(over) else []
     else:
         groups = sorted(
@@ -117,7 +121,7 @@ class _Test:
     """Whether surfaces look the same after a turn about a point."""
 
     def __init__(self, pieces: Sequence[Piece], middle: np.ndarray) -> None:
-        areas = np.array([np.linalg.norm(piece.mesh.normals, axis=1).sum() for piece in pieces])
+        areas = np.array([piece.mesh.areas.sum() for piece in pieces])
         counts = np.ceil(_NUM_POINTS * areas / areas.sum()).astype(int).tolist()
         samples = [
             coloured_points(piece, count, 0) for piece, count in zip(pieces, counts, strict=True)
@@ -166,12 +170,6 @@ def _distinct(axes: Sequence[np.ndarray]) -> list[np.ndarray]:
         if all(abs(axis @ other) < _SAME_AXIS for other in kept):
             kept.append(axis)
     return kept
-
-
-def _across(axis: np.ndarray) -> np.ndarray:
-    """f64[3]: a unit vector at right angles to it."""
-    side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
-    return side / np.linalg.norm(side)
 
 
 def _groups(frame: np.ndarray) -> Iterator[list[np.ndarray]]:

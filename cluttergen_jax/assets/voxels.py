@@ -14,17 +14,21 @@ _MARGIN = 2
 
 @dataclass(frozen=True, eq=False)
 class Voxels:
-    """A grid of cubic cells around a surface, with a margin of empty cells."""
+    """A grid of cubic cells around a surface, with a margin of empty cells.
 
-    origin: np.ndarray  # f64[3], centre of cell (0, 0, 0), metres.
-    pitch: float  # Side of a cell, metres.
-    surface: np.ndarray  # bool[X, Y, Z], cells that the surface passes through.
-    outside: (
-        np.ndarray
-    )  # bool[X, Y, Z], cells that can be reached from outside without crossing the surface.
-    samples: (
-        np.ndarray
-    )  # f64[N, 3], points of the surface; every point of it is within 0.47 cells of one.
+    Attributes:
+      origin: f64[3], centre of cell (0, 0, 0), metres.
+      pitch: side of a cell, metres.
+      surface: bool[X, Y, Z], cells that the surface passes through.
+      outside: bool[X, Y, Z], cells that can be reached from outside without crossing the surface.
+      samples: f64[N, 3], points of the surface; every point of it is within 0.47 cells of one.
+    """
+
+    origin: np.ndarray
+    pitch: float
+    surface: np.ndarray
+    outside: np.ndarray
+    samples: np.ndarray
 
     @staticmethod
     def of(mesh: Mesh, cells: int = 72) -> Voxels:
@@ -59,8 +63,7 @@ class Voxels:
 
     def is_exposed(self, points: np.ndarray) -> np.ndarray:
         """bool[N]: whether surface points can be seen from outside, to within a cell."""
-        near = ndimage.binary_dilation(self.outside, np.ones((3, 3, 3), bool))
-        return near[self.index(points)]
+        return grown(self.outside)[self.index(points)]
 
     def water(self) -> np.ndarray:
         """bool[X, Y, Z]: cells outside that would stay full if the object were filled with water.
@@ -78,6 +81,11 @@ class Voxels:
             below = np.isin(regions, drained[drained > 0])
             is_dry[:, :, level] = below
         return self.outside & ~is_dry
+
+
+def grown(cells: np.ndarray) -> np.ndarray:
+    """bool[X, Y, Z]: the True cells with all around them, corners included."""
+    return np.asarray(ndimage.binary_dilation(cells, np.ones((3, 3, 3), bool)))
 
 
 def scan_lines(mesh: Mesh, line_spacing: float, spacing: float) -> np.ndarray:

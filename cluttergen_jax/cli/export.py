@@ -11,7 +11,7 @@ from cluttergen_jax.api.export import export
 from cluttergen_jax.cli.options import Options, options_from
 
 
-@options_from(export, source=Positional[str])
+@options_from(export, source=Positional[str], format=str)
 class Export(Options):
     """Write scenes of a bank as a self-contained folder for another program.
 
@@ -21,12 +21,12 @@ class Export(Options):
     resumes: ClassVar[bool] = False
 
     def run(self) -> int:
-        from cluttergen_jax.scene.export import BANK_FORMATS, FORMATS
+        from cluttergen_jax.scene.export import BANK_FORMATS
         from cluttergen_jax.scene.export.folder import MANIFEST
+        from cluttergen_jax.scene.export.formats import find_format
 
-        folder = self.call(export)
+        kind = BANK_FORMATS.get(self.format) or find_format(self.format)
+        folder = self.call(export, format=self.format if self.format in BANK_FORMATS else kind)
         scenes = json.loads((folder / MANIFEST).read_text())["scenes"]
-        print(
-            f"{len(scenes)} scenes in {folder}: open with {(FORMATS | BANK_FORMATS)[self.format].opens_in}"
-        )
+        print(f"{len(scenes)} scenes in {folder}: open with {kind.opens_in}")
         return 0

@@ -8,8 +8,8 @@ from typing import Annotated
 import tyro
 
 from cluttergen_jax.cli.options import Options, options_from
-from cluttergen_jax.config import RobotObserver
 from cluttergen_jax.downstream.rearrange.api import rearrange
+from cluttergen_jax.downstream.words import RobotObserver
 
 
 @options_from(

@@ -6,15 +6,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.config import (
-    Engine,
-    Method,
-    PlacerHead,
-    Suite,
-    check_names,
-    check_whole,
-    check_workers,
-)
+from cluttergen_jax.config import Engine, Method, Suite, check_names, check_whole, check_workers
+from cluttergen_jax.downstream.words import PlacerHead
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
 from cluttergen_jax.kept_folder import hold_folder

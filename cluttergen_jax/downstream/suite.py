@@ -13,7 +13,6 @@ from cluttergen_jax.downstream.studies.placement import CAMERAS, NOISE, PLACEMEN
 from cluttergen_jax.downstream.studies.robot import REARRANGEMENT, REARRANGEMENT_ABLATIONS, ROBOT
 from cluttergen_jax.downstream.studies.study import SETS, DownstreamScale, Found, SuiteFolder
 from cluttergen_jax.downstream.studies.trained import (
-    PRETRAINED,
     PROTOCOL,
     SET_SIZE,
     SOURCE,
@@ -40,7 +39,6 @@ STUDIES = {
         SOURCE,
         TRAINING_SEEDS,
         TRANSFER,
-        PRETRAINED,
         PROTOCOL,
         PERCEPTION,
         ROBOT,

@@ -67,9 +67,9 @@ def evaluate(
 
     Args:
       methods: "random", "clear", "drop", "spread", "guided", and policies trained for the pool: "policy",
-        "beta_free", "normal", "open_loop", "short_memory", or "beta", of which none is embedded. If not
-        given: the first five, and "policy" where one is embedded, of these all that can make what is asked
-        for. Of a suite, the rows that are made; all if not given.
+        "beta_free", "normal", "open_loop" or "short_memory". If not given: the first five, and "policy"
+        where one is embedded, of these all that can make what is asked for. Of a suite, the rows that are
+        made; all if not given.
       pools: names or folders, or several joined by +; dining if not given, and what each study asks for in a
         suite.
       supports: names or folders; "table-0.40x0.50" is a cuboid of that size, all of it the queried region.

@@ -19,7 +19,6 @@ COLOURS = {
     "open_loop": "#c9a227",
     "short_memory": "#b5651d",
     "normal": "#7b5ea7",
-    "beta": "#e07b39",
     "beta_free": "#e07b39",
     "policy": "#c8102e",
     "spread": "#17a2a2",

@@ -12,7 +12,7 @@ from typing import Any
 
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import Rectangle, recorded_rectangle
-from cluttergen_jax.config import TRUSTED_METHODS
+from cluttergen_jax.config import REMOVED_METHODS, TRUSTED_METHODS
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.region import find_change
 from cluttergen_jax.spec import SceneSpec
@@ -50,6 +50,7 @@ class Trial:
         counted as the paper counts them. Verdicts are the same.
       paper_count: run it a second time with the paper's looser count (only the current object is judged, the
         others are put back by hand, no last check).
+      removed_method: of a row of an earlier version, a method that nothing makes any more; "" for none.
     """
 
     spec: SceneSpec = _PAPERS
@@ -59,6 +60,7 @@ class Trial:
     change: str = "none"
     whole_attempts: bool = False
     paper_count: bool = False
+    removed_method: str = ""
 
     def __post_init__(self) -> None:
         if not 1 <= self.trials <= MAX_TRIALS:
@@ -99,9 +101,9 @@ class Trial:
 
     @property
     def method(self) -> str:
-        """A name of `config.METHODS`."""
+        """A name of `config.METHODS`, or of a method that was removed."""
         assert self.spec.method is not None, "a trial is of a method"
-        return self.spec.method
+        return self.removed_method or self.spec.method
 
     @property
     def num_objects(self) -> int:
@@ -250,6 +252,8 @@ def _told(name: str, value: Any) -> str:
 def trial_of(row: Mapping[str, Any]) -> Trial:
     """The trial of a stored row; settings that an older version did not know are the usual ones."""
     asked = dict(row["trial"])
+    if asked.get("method") in REMOVED_METHODS:
+        asked["removed_method"] = asked.pop("method")
     region = asked.get("region")
     if isinstance(region, Mapping):
         asked["region"] = recorded_rectangle(region)

@@ -93,11 +93,9 @@ def _body(job: Job) -> BodyConfig:
     if job.num_lost == 1:
         other = replace(body.decomposition, seed=body.decomposition.seed + 100)
         return replace(body, decomposition=other, jitter=_JITTER)
-    return (
-        replace(body, decomposition=replace(body.decomposition, max_parts=1))
-        if job.num_lost
-        else body
-    )
+    if job.num_lost:
+        return replace(body, decomposition=replace(body.decomposition, max_parts=1))
+    return body
 
 
 def next_try(job: Job, fault: str) -> Job:

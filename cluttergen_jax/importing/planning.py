@@ -14,10 +14,10 @@ from typing import Any
 from cluttergen_jax.assets.pool import read_pool
 from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.errors import AssetError, ClutterGenError, ConfigError, MissingExtraError
+from cluttergen_jax.importing.cache import files_outside
 from cluttergen_jax.importing.limited import call_limited
-from cluttergen_jax.importing.outside import files_outside
-from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions, Skipped
-from cluttergen_jax.importing.readers.gltf_file import words_of
+from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, Skipped, Survey
+from cluttergen_jax.importing.readers.gltf import words_of
 from cluttergen_jax.importing.readers.pieces import collision_files
 from cluttergen_jax.importing.readers.read import NOT_STATED, public_path
 from cluttergen_jax.importing.readers.sidecars import Sidecars, Stated
@@ -41,7 +41,7 @@ from cluttergen_jax.importing.sets import KnownSet, describe_sets, known_sets, l
 from cluttergen_jax.importing.settings import (
     OF_READING,
     TAKE,
-    Settings,
+    ObjectSettings,
     place_of,
     read_settings,
     settings_for,
@@ -53,21 +53,27 @@ YCB = "ycb"
 
 @dataclass(frozen=True)
 class Planned:
-    """One object with everything that decides how it is read."""
+    """One object with everything that decides how it is read.
+
+    Attributes:
+      up: the vertical axis of its file, and who says so.
+      is_named: its name was chosen by the user, and stays.
+      out: why the layout of its set leaves it out; empty if it does not.
+      place: see `LeftOut.name`.
+      take: whether the user's settings take it or leave it out; None if they do not say.
+      no_model_of: the set in whose home it lies, and whose models are others; else empty.
+      alarms: what is stated beside it and not used, in words; among its source's notes.
+    """
 
     source: ObjectFile
     options: ReadOptions
-    up: UpAxis  # The vertical axis of its file, and who says so.
-    is_named: bool = False  # Its name was chosen by the user, and stays.
-    out: str = ""  # Why the layout of its set leaves it out; empty if it does not.
-    place: str = ""  # See `LeftOut.name`.
-    take: bool | None = (
-        None  # Whether the user's settings take it or leave it out; None if they do not say.
-    )
-    no_model_of: str = ""  # The set in whose home it lies, and whose models are others; else empty.
-    alarms: tuple[
-        str, ...
-    ] = ()  # What is stated beside it and not used, in words; among its source's notes.
+    up: UpAxis
+    is_named: bool = False
+    out: str = ""
+    place: str = ""
+    take: bool | None = None
+    no_model_of: str = ""
+    alarms: tuple[str, ...] = ()
 
     @property
     def is_other(self) -> bool:
@@ -106,8 +112,8 @@ class _Group:
     """
 
     root: Path
-    found: Found
-    settings: tuple[tuple[Path, Settings], ...]
+    found: Survey
+    settings: tuple[tuple[Path, ObjectSettings], ...]
     sets: tuple[KnownSet, ...] = ()
     is_folder: bool = True
     sidecars: Sidecars = field(default_factory=lambda: Sidecars((), ()))
@@ -232,12 +238,12 @@ def _rename_after_file(planned: Planned, kept: Sequence[Planned]) -> Planned:
     )
 
 
-def _group(given: str | Path, settings: Settings | None, layout: str) -> _Group:
+def _group(given: str | Path, settings: ObjectSettings | None, layout: str) -> _Group:
     if not str(given):
         raise AssetError("an empty path", "a file or a folder", "'.' for this folder")
     path = Path(given)
     if str(given) == YCB and not path.exists():
-        found = Found(tuple(ycb_sources()))
+        found = Survey(tuple(ycb_sources()))
         root = found.sources[0].path.parent
         return _Group(root, found, () if settings is None else ((root, settings),))
     found = find_all(path)
@@ -261,7 +267,7 @@ def _group(given: str | Path, settings: Settings | None, layout: str) -> _Group:
     return _Group(root, found, lying, sets, path.is_dir(), sidecars)
 
 
-def _with_nodes(found: Found, settings: Sequence[tuple[Path, Settings]]) -> Found:
+def _with_nodes(found: Survey, settings: Sequence[tuple[Path, ObjectSettings]]) -> Survey:
     """The nodes of mesh files that settings speak of, in place of the files."""
     sources: list[ObjectFile] = []
     for source in found.sources:
@@ -291,16 +297,12 @@ def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Pla
         own = replace(own, up=FILE)
     is_gltf = source.path.suffix.lower() in (".glb", ".gltf")
     words = call_limited(source.path, words_of, source.path) if is_gltf else {}
-    label = {key: value for key, value in from_set.items() if key == "label"}
-    said = {key: value for key, value in words.items() if key == "synset"}
-    said |= {"label": words["label"]} if says_something(words.get("label", "")) else {}
-    label |= {key: stated.values[key] for key in ("label", "synset") if key in stated.values}
-    naming = {
-        key: value for key, value in {**said, **label, **values}.items() if key not in OF_READING
-    }
-    parts = (
-        collision_files(source.path) if own.collision == "keep" and source.kind == "mesh" else ()
-    )
+    is_labelled = says_something(words.get("label", ""))
+    naming = _those(words, "synset", "label") if is_labelled else _those(words, "synset")
+    naming |= _those(from_set, "label") | _those(stated.values, "label", "synset")
+    naming |= {key: value for key, value in values.items() if key not in OF_READING}
+    keeps_parts = own.collision == "keep" and source.kind == "mesh"
+    parts = collision_files(source.path) if keeps_parts else ()
     if stated.title:
         plain = plain_name(stated.title)
         source = replace(source, name=plain, plain=plain, label=label_of(stated.title))
@@ -329,6 +331,11 @@ def _plan_source(source: ObjectFile, group: _Group, options: ReadOptions) -> Pla
     if stated.file is not None and decision and "up" not in reading and own.up != base.up:
         up = UpAxis(own.up, f"as {stated.file.name} says")
     return Planned(own_source, own, up, "name" in naming, out, place, take, no_model_of, alarms)
+
+
+def _those(values: Mapping[str, Any], *keys: str) -> dict[str, Any]:
+    """The values of some keys, as far as there are any."""
+    return {key: values[key] for key in keys if key in values}
 
 
 def _with_stated(
@@ -387,19 +394,18 @@ def _up_axis(
 
 def _as_in_pool(planned: list[Planned], folder: Path | None) -> list[Planned]:
     """The objects, those that a pool has already by the names that they have there."""
+    if folder is None:
+        return planned
+    chosen = _chosen_names(planned)
     try:
-        held = (
-            {}
-            if folder is None
-            else {a.name: a.provenance.source for a in read_pool(folder).objects}
-        )
+        held = read_pool(folder).objects
+        free = {each.name: each.provenance.source for each in held if each.name not in chosen}
     except ClutterGenError:
         return planned
-    free = {name: source for name, source in held.items() if name not in _chosen_names(planned)}
     named = []
     for each in planned:
         source = each.source
-        pattern = re.compile(re.escape(each.source.plain) + r"(-\d+)?")
+        pattern = re.compile(re.escape(source.plain) + r"(-\d+)?")
         here = public_path(source.path)
         fitting = [name for name, path in free.items() if path == here and pattern.fullmatch(name)]
         if fitting and not each.is_named:

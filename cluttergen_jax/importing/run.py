@@ -26,11 +26,11 @@ from cluttergen_jax.assets.pool import (
 )
 from cluttergen_jax.cluster import MOST_DEATHS, Cluster, each_on
 from cluttergen_jax.config import check_positive, check_workers
-from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
+from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError, first_names
 from cluttergen_jax.files import writing
 from cluttergen_jax.importing import cache
+from cluttergen_jax.importing.cache import NOTE, outside_note
 from cluttergen_jax.importing.job import NUM_TRIES, Job, ObjectConfig, make_job, next_try
-from cluttergen_jax.importing.outside import NOTE, outside_note
 from cluttergen_jax.importing.planning import YCB, Failure, Planned, name_distinctly, plan_all
 from cluttergen_jax.importing.processes import Crew, Outcome, Watch
 from cluttergen_jax.importing.readers import ObjectFile, Skipped
@@ -357,11 +357,9 @@ def _make(
     with Progress("importing", len(jobs), "object") if is_shown else nullcontext() as progress:
         say = partial(print, file=sys.stderr, flush=True) if progress is None else progress.say
         if progress is not None:
-            at_once = (
-                f"{min(num_processes, len(jobs))} at a time"
-                if config.cluster is None
-                else "on a cluster"
-            )
+            at_once = "on a cluster"
+            if config.cluster is None:
+                at_once = f"{min(num_processes, len(jobs))} at a time"
             progress.say(f"importing {len(jobs)} objects, {at_once}")
         watch = None if progress is None else partial(_show_at_work, progress, jobs)
         try:
@@ -390,8 +388,7 @@ def _make(
 
 def _show_at_work(progress: Progress, jobs: Sequence[Job], indices: list[int]) -> None:
     names = [jobs[index].source.name for index in indices]
-    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-    progress.note(f"at work: {', '.join(names[:_MOST_NAMED])}{more}")
+    progress.note(f"at work: {first_names(names, _MOST_NAMED)}")
 
 
 def _store_result(job: Job, outcome: Outcome) -> str:

@@ -27,8 +27,7 @@ import numpy as np
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.limited import call_limited
 from cluttergen_jax.importing.readers import ObjectFile
-from cluttergen_jax.importing.readers.mjcf_compile import parse_mjcf
-from cluttergen_jax.importing.readers.mjcf_limits import check_mjcf_extent
+from cluttergen_jax.importing.readers.mjcf_compile import check_mjcf_extent, collides, parse_mjcf
 from cluttergen_jax.importing.readers.xml_tree import Element, parse_xml, plain_tag
 
 _JOINT = mujoco.mjtJoint
@@ -109,8 +108,7 @@ def _joints_above(link: str, above: dict[str, tuple[str, int]]) -> int:
 def _facts(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> BodyFacts:
     bodies = list(_below(root))
     placed = [each for each in _geoms_below(root) if each.geom.type != _GEOM.mjGEOM_PLANE]
-    paired = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)} - {""}
-    hitting = [each for each in placed if _collides(each.geom) or each.geom.name in paired]
+    hitting = [each for each in placed if collides(spec, each.geom)]
     seen = [
         each
         for each in placed
@@ -156,10 +154,6 @@ def _geoms_below(body: mujoco.MjsBody, above: tuple[list[float], ...] = ()) -> I
     yield from (_Placed(geom, above) for geom in body.geoms)
     for child in body.bodies:
         yield from _geoms_below(child, (_place(child), *above))
-
-
-def _collides(geom: mujoco.MjsGeom) -> bool:
-    return bool(geom.contype or geom.conaffinity)
 
 
 def _is_free(body: mujoco.MjsBody) -> bool:

@@ -46,7 +46,7 @@ class Lookup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     folder: int = 0
 
 
-class Layout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class SetLayout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One set, as sets.yaml explains it."""
 
     title: str
@@ -64,7 +64,7 @@ class KnownSet:
     """A set that was recognised, or that the user named."""
 
     name: str
-    layout: Layout
+    layout: SetLayout
     home: Path  # The real folder that its patterns are relative to.
 
     def covers(self, source: ObjectFile) -> bool:
@@ -105,10 +105,10 @@ class KnownSet:
 
 
 @cache
-def layouts() -> dict[str, Layout]:
+def layouts() -> dict[str, SetLayout]:
     """All layouts by name, in the order in which they are tried."""
     document = parse_yaml(Path(__file__).with_suffix(".yaml").read_bytes())
-    return convert(document, dict[str, Layout])
+    return convert(document, dict[str, SetLayout])
 
 
 def known_sets(root: Path, files: Iterable[Path], name: str = AUTO) -> tuple[KnownSet, ...]:
@@ -158,7 +158,7 @@ def describe_sets(sets: Sequence[KnownSet], num_others: Mapping[str, int]) -> It
         yield f"recognised: {', '.join(parts)}"
 
 
-def _homes(layout: Layout, files: Sequence[Path]) -> list[Path]:
+def _homes(layout: SetLayout, files: Sequence[Path]) -> list[Path]:
     """The folders that hold all signs of a set."""
     homes: list[set[Path]] = []
     for sign in layout.signs:

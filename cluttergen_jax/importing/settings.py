@@ -39,7 +39,7 @@ from typing import Any
 
 from cluttergen_jax.assets.object_files import NAME_PATTERN, RESERVED
 from cluttergen_jax.errors import ClutterGenError, ConfigError
-from cluttergen_jax.importing.readers import Found, ObjectFile, ReadOptions
+from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, Survey
 from cluttergen_jax.importing.readers.tree import SETTINGS
 from cluttergen_jax.schema import SchemaError, parse_toml, read_written
 
@@ -52,7 +52,7 @@ _OTHER_SPELLING = {"license": "licence"}
 
 
 @dataclass(frozen=True)
-class Settings:
+class ObjectSettings:
     """A settings file that is read.
 
     Attributes:
@@ -72,9 +72,7 @@ class Settings:
     @cached_property
     def _globs(self) -> tuple[str, ...]:
         """The patterns that can fit what they do not spell."""
-        return tuple(
-            each for each in self.tables if each != DEFAULT and any(sign in each for sign in "*?[")
-        )
+        return tuple(each for each in self.tables if each != DEFAULT and _is_glob(each))
 
     def of(self, source: ObjectFile, root: Path) -> dict[str, Any]:
         """The keys and values for one source, found below the folder `root`."""
@@ -91,16 +89,14 @@ class Settings:
         if source.kind != "mesh" or source.body or not source.path.is_relative_to(root):
             return []
         names = _names(source, root)
-        pairs = (pattern.partition("#") for pattern in self.tables)
-        return [
-            node
-            for file, _, node in pairs
-            if node
-            and not any(sign in node for sign in "*?[")
-            and any(_fits(name, file) for name in names)
-        ]
+        nodes = []
+        for pattern in self.tables:
+            file, _, node = pattern.partition("#")
+            if node and not _is_glob(node) and any(_fits(name, file) for name in names):
+                nodes.append(node)
+        return nodes
 
-    def check_used(self, groups: Sequence[tuple[Path, Found]]) -> None:
+    def check_used(self, groups: Sequence[tuple[Path, Survey]]) -> None:
         """Refuses patterns that fit no object, so that a slip of the pen is not passed over.
 
         Of a list some have to fit.
@@ -108,20 +104,17 @@ class Settings:
         Raises:
           ConfigError: it names the pattern, and what is spelt nearly like it.
         """
-        known = [
-            name
-            for root, found in groups
-            for source in found.sources
-            for name in _names(source, root)
-        ]
-        patterns = [pattern for pattern in self.tables if pattern != DEFAULT]
+        known = []
+        for root, found in groups:
+            for source in found.sources:
+                known += _names(source, root)
         there = set(known)
-        unused = [
-            each
+        patterns = [pattern for pattern in self.tables if pattern != DEFAULT]
+        used = [
+            each in there or (each in self._globs and any(_fits(name, each) for name in known))
             for each in patterns
-            if each not in there
-            and not (each in self._globs and any(_fits(name, each) for name in known))
         ]
+        unused = [each for each, is_used in zip(patterns, used, strict=True) if not is_used]
         if not unused or (self.is_list and len(unused) < len(patterns)):
             return
         skipped = {
@@ -143,7 +136,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
-def read_settings(path: Path) -> Settings:
+def read_settings(path: Path) -> ObjectSettings:
     """Reads a settings file.
 
     Raises:
@@ -163,7 +156,7 @@ def read_settings(path: Path) -> Settings:
         kind = "a table of CSV" if is_list else "TOML"
         raise ConfigError(f"settings {path} are not {kind}: {error}") from error
     tables = {pattern: _check_table(path, pattern, table) for pattern, table in document.items()}
-    return Settings(path, tables, is_list)
+    return ObjectSettings(path, tables, is_list)
 
 
 _FILE = "file"
@@ -241,7 +234,7 @@ def _check_table(path: Path, pattern: str, table: Any) -> dict[str, Any]:
     return values
 
 
-def settings_for(folder: Path) -> Settings | None:
+def settings_for(folder: Path) -> ObjectSettings | None:
     """The settings that lie in a folder; None if there are none."""
     file = folder / SETTINGS
     return read_settings(file) if file.is_file() else None
@@ -249,11 +242,9 @@ def settings_for(folder: Path) -> Settings | None:
 
 def place_of(source: ObjectFile, root: Path) -> str:
     """A source's path from the folder `root` on, with "#" and the body where its file holds several."""
-    path = (
-        source.path.relative_to(root).as_posix()
-        if source.path.is_relative_to(root)
-        else source.path.name
-    )
+    path = source.path.name
+    if source.path.is_relative_to(root):
+        path = source.path.relative_to(root).as_posix()
     return f"{path}#{source.body.removeprefix('#')}" if source.body else path
 
 
@@ -261,6 +252,10 @@ def _names(source: ObjectFile, root: Path) -> list[str]:
     """What a pattern may fit: path from the folder on and plain name, with and without the body."""
     names = [place_of(replace(source, body=""), root), source.path.name]
     return names + [f"{name}#{source.body.removeprefix('#')}" for name in names if source.body]
+
+
+def _is_glob(text: str) -> bool:
+    return any(sign in text for sign in "*?[")
 
 
 def _fits(name: str, pattern: str) -> bool:

@@ -16,12 +16,11 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from scipy import ndimage
 from scipy.spatial import ConvexHull
 
 from cluttergen_jax.assets.config import NARROW_SURFACE, SURFACE_AIR
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
-from cluttergen_jax.assets.mesh_repair.orientation import orient_faces
+from cluttergen_jax.assets.orientation import orient_faces
 from cluttergen_jax.assets.parts import as_meshes
 from cluttergen_jax.assets.shading import box_mesh
 from cluttergen_jax.assets.shape import Piece, Shape
@@ -47,21 +46,25 @@ from cluttergen_jax.assets.support_map import (
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.files import writing
 from cluttergen_jax.geometry import yaw_matrix
-from cluttergen_jax.importing.furniture_file import find_furniture
-from cluttergen_jax.importing.furniture_pose import read_upright
+from cluttergen_jax.importing.cache import files_outside, outside_note
+from cluttergen_jax.importing.furniture import find_furniture, read_upright
 from cluttergen_jax.importing.limited import call_limited
-from cluttergen_jax.importing.outside import files_outside, outside_note
 from cluttergen_jax.importing.readers import ReadOptions
-from cluttergen_jax.importing.support_joints import estimates_of, moved_together, with_joints
-from cluttergen_jax.importing.support_parts import as_box, collision_of, cut_off, is_inside
-from cluttergen_jax.importing.support_space import (
+from cluttergen_jax.importing.support_collision import (
     air_over,
+    as_box,
+    collision_of,
     columns_over,
+    cut_off,
+    estimates_of,
+    is_inside,
+    moved_together,
     note_of_air,
     surface_samples,
+    with_joints,
     without_air,
 )
-from cluttergen_jax.importing.surfaces import FoundSurface, find_surfaces
+from cluttergen_jax.importing.surfaces import FoundSurface, find_surfaces, num_cells, without_cracks
 from cluttergen_jax.kept_folder import PATIENCE, lock_beside
 
 _NAMED = re.compile(r"'[^']*'|\S+\.(obj|mtl|dae|stl|ply|glb|png|jpe?g)\b", re.IGNORECASE)
@@ -167,11 +170,6 @@ _BULGE = 0.02
 _MORE = 1.05
 
 
-def support_from_mesh(shape: Shape) -> SupportAsset:
-    """The first of `support_with_notes`."""
-    return support_with_notes(shape)[0]
-
-
 def support_with_notes(shape: Shape) -> tuple[SupportAsset, list[str]]:
     """Finds the surfaces of a table, a shelf or a board, and makes it carry objects.
 
@@ -207,39 +205,50 @@ def _without_joints(shape: Shape, whole: Mesh, shift: np.ndarray) -> tuple[Suppo
       whole: all surfaces; shift: from the shape's frame to the world.
     """
     mesh = whole.transform(np.eye(3), shift)
+    height = None
     try:
         height = _top_height(shape.name, mesh)
     except AssetError:
         found, notes = find_surfaces(mesh, 0.0)
         if not found:
             raise
-        return _several(shape, shift, found[0].surface, found, notes)
-    table = _flat_table(shape, mesh, shift, height)
+    pieces = orient_faces([piece.transform(np.eye(3), shift) for piece in shape.pieces], None)
+    if height is None:
+        return _several(shape, pieces, found[0].surface, found, notes)
+    table = _flat_table(shape, mesh, pieces, height)
     found, notes = find_surfaces(mesh, table.region.yaw)
     others = [each for each in found if not _is_top(each.surface, height)]
     if not others:
         return table, notes
     # The largest at that height, and more than is open to the sky: what hangs over some of it is real here.
-    top = max((each for each in found if _is_top(each.surface, height)), key=_area, default=None)
+    tops = [each for each in found if _is_top(each.surface, height)]
+    top = max(tops, key=lambda each: each.surface.area, default=None)
     level = [box for box in table.boxes if box.center[2] < height]
-    if top is not None and _area(top) > _MORE * sum(
-        4 * math.prod(box.half_extents[:2]) for box in level
-    ):
+    open_area = sum(4 * math.prod(box.half_extents[:2]) for box in level)
+    if top is not None and top.surface.area > _MORE * open_area:
         own = replace(top.surface, region=table.region, position=(0.0, 0.0, height))
-        return _several(shape, shift, own, [replace(top, surface=own), *others], notes)
+        return _several(shape, pieces, own, [replace(top, surface=own), *others], notes)
     depth = _THICKNESS if top is None else max(top.thickness, _SHEET)
-    level = [_between(box, max(height - depth, 0.0), height) for box in level]
+    low = max(height - depth, 0.0)
+    level = [
+        replace(
+            box,
+            center=(*box.center[:2], (low + height) / 2),
+            half_extents=(*box.half_extents[:2], (height - low) / 2),
+        )
+        for box in level
+    ]
     (own,) = replace(table, boxes=tuple(level)).surfaces
-    return _several(shape, shift, own, others, notes, level)
+    return _several(shape, pieces, own, others, notes, level)
 
 
-def _flat_table(shape: Shape, mesh: Mesh, shift: np.ndarray, top: float) -> SupportAsset:
+def _flat_table(shape: Shape, mesh: Mesh, pieces: tuple[Piece, ...], top: float) -> SupportAsset:
     yaw = _top_yaw(mesh, top)
     aligned = mesh.transform(yaw_matrix(-yaw), np.zeros(3))
     view = _view(aligned, top)
     risen = view.height > top + _SAME_HEIGHT
     flat = view.is_level & (np.abs(view.height - top) <= _SAME_HEIGHT)
-    closed = ndimage.binary_closing(np.pad(flat, 1), np.ones((3, 3)))[1:-1, 1:-1] & ~risen
+    closed = without_cracks(flat) & ~risen
     spans = cover(closed)
     boxes = [_box(view, span, max(top - _THICKNESS, 0.0), top, yaw) for span in spans]
     for span in cover(risen, 0.01):
@@ -253,12 +262,8 @@ def _flat_table(shape: Shape, mesh: Mesh, shift: np.ndarray, top: float) -> Supp
         top=top,
         region=Rectangle(region.center[:2], region.half_extents[:2], yaw),
         provenance=shape.provenance,
-        pieces=orient_faces([piece.transform(np.eye(3), shift) for piece in shape.pieces], None),
+        pieces=pieces,
     )
-
-
-def _area(found: FoundSurface) -> float:
-    return found.surface.area
 
 
 def _is_top(surface: Surface, top: float) -> bool:
@@ -267,7 +272,7 @@ def _is_top(surface: Surface, top: float) -> bool:
 
 def _several(
     shape: Shape,
-    shift: np.ndarray,
+    pieces: tuple[Piece, ...],
     top: Surface,
     found: list[FoundSurface],
     notes: list[str],
@@ -279,12 +284,10 @@ def _several(
       top: the surface that comes first.
       found: all of them, or all others where `level` covers the top.
     """
-    pieces = orient_faces([piece.transform(np.eye(3), shift) for piece in shape.pieces], None)
     yaw = top.region.yaw
     surfaces = [each.surface for each in found]
     surfaces = [top, *surfaces] if level else surfaces
-    names = ["top", *(f"shelf_{number}" for number in range(1, len(surfaces)))]
-    surfaces = [replace(surface, name=name) for surface, name in zip(surfaces, names, strict=True)]
+    surfaces = _called_in_order(surfaces)
     covers = [(surfaces[0], [box_mesh(box).vertices for box in level])] if level else []
     solids = []
     lost = []
@@ -303,18 +306,14 @@ def _several(
     whole = join_meshes([piece.mesh for piece in pieces])
     first = _support_of(shape, pieces, surfaces, plates + solids, yaw)
     before = [air_over(whole, first, surface) for surface in surfaces]
-    by_name = {
-        surface.name: each for each, surface in zip(found, surfaces[-len(found) :], strict=True)
-    }
-    short = [
-        each
-        for each, air in zip(surfaces, before, strict=True)
-        if air.is_short and each.name in by_name
-    ]
-    samples = surface_samples(whole) if short else np.zeros((0, 3))
-    columns = [
-        column for each in short for column in columns_over(samples, by_name[each.name], each)
-    ]
+    seen = list(zip(found, surfaces[-len(found) :], before[-len(found) :], strict=True))
+    samples = np.zeros((0, 3))
+    if any(air.is_short for _, _, air in seen):
+        samples = surface_samples(whole)
+    columns = []
+    for each, surface, air in seen:
+        if air.is_short:
+            columns += columns_over(samples, each, surface)
     if columns:
         solids = without_air(plates + solids, columns)
         first = _support_of(shape, pieces, surfaces, solids, yaw)
@@ -325,12 +324,17 @@ def _several(
         for number, (surface, air) in enumerate(zip(surfaces, after, strict=True))
         if number == 0 or air.collided >= SURFACE_AIR
     ]
-    names = ["top", *(f"shelf_{number}" for number in range(1, len(counted)))]
     named = [
-        replace(each, name=name, free_height=free_height(surface_heights(first, each), each.region))
-        for each, name in zip(counted, names, strict=True)
+        replace(each, free_height=free_height(surface_heights(first, each), each.region))
+        for each in _called_in_order(counted)
     ]
     return replace(first, named=tuple(named)), notes + lost + [note for note in of_air if note]
+
+
+def _called_in_order(surfaces: Sequence[Surface]) -> list[Surface]:
+    """The first as "top", the others as shelf_1, shelf_2 ..."""
+    names = ["top", *(f"shelf_{number}" for number in range(1, len(surfaces)))]
+    return [replace(surface, name=name) for surface, name in zip(surfaces, names, strict=True)]
 
 
 def _support_of(
@@ -341,8 +345,14 @@ def _support_of(
     yaw: float,
 ) -> SupportAsset:
     """A support whose collision are the hulls of points f64[V, 3] each: boxes where they are."""
-    boxes = [box for points in solids if (box := as_box(points, yaw)) is not None]
-    parts = [points for points in solids if as_box(points, yaw) is None]
+    boxes = []
+    parts = []
+    for points in solids:
+        box = as_box(points, yaw)
+        if box is None:
+            parts.append(points)
+        else:
+            boxes.append(box)
     return SupportAsset(
         name=shape.name,
         label=shape.label,
@@ -356,22 +366,10 @@ def _support_of(
     )
 
 
-def _between(box: Box, low: float, high: float) -> Box:
-    return replace(
-        box,
-        center=(*box.center[:2], (low + high) / 2),
-        half_extents=(*box.half_extents[:2], (high - low) / 2),
-    )
-
-
 def _is_flat(support: SupportAsset, surface: Surface, found: FoundSurface) -> bool:
     """Whether the collision has a surface where the mesh has it."""
     heights = surface_heights(support, surface)
-    x, y = (
-        heights.origin[k] + heights.cell * (np.arange(heights.ground.shape[k]) + 0.5)
-        for k in (0, 1)
-    )
-    is_on = found.is_on(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1))
+    is_on = found.is_on(heights.centers)
     return bool(is_on.any() and (np.abs(heights.ground[is_on]) <= _SMOOTH).mean() >= _MOSTLY)
 
 
@@ -379,35 +377,27 @@ def _plates(found: FoundSurface) -> list[np.ndarray]:
     """f64[8, 3] each: boards that cover a surface."""
     T = found.surface.T_world_surface
     depth = max(found.thickness, _SHEET)
-    flat = [
-        np.column_stack([plate, np.full(4, z)]) for plate in found.plates for z in (0.0, -depth)
-    ]
-    pairs = [np.concatenate(flat[k : k + 2]) for k in range(0, len(flat), 2)]
-    return [points @ T[:3, :3].T + T[:3, 3] for points in pairs]
+    depths = np.repeat([0.0, -depth], 4)
+    boards = [np.column_stack([np.tile(plate, (2, 1)), depths]) for plate in found.plates]
+    return [points @ T[:3, :3].T + T[:3, 3] for points in boards]
 
 
 def _lowered(points: np.ndarray, surface: Surface) -> np.ndarray | None:
     """A convex part that ends about a covered surface, cut a millimetre below it; others as they are."""
-    T = surface.T_world_surface
-    local = (points - T[:3, 3]) @ T[:3, :3]
+    local = surface.local(points)
     end = float(local[:, 2].max())
     ends_there = -_SMOOTH - _HAIR <= end <= _BULGE and local[:, 2].mean() < 0
     low = surface.polygon.min(0)
     high = surface.polygon.max(0)
     is_over = (local[:, :2].max(0) > low).all() and (local[:, :2].min(0) < high).all()
-    return cut_off(points, T, -_HAIR) if ends_there and is_over else points
-
-
-def _cells(size: np.ndarray, pitch: float) -> np.ndarray:
-    """i[2]: how many cells of at most `pitch` fill a rectangle."""
-    return np.maximum(np.ceil(size / pitch - 1e-9), 1).astype(int)
+    return cut_off(points, surface.T_world_surface, -_HAIR) if ends_there and is_over else points
 
 
 def _top_height(name: str, mesh: Mesh) -> float:
     """The height of the largest level area that is open to the sky."""
     lower, upper = mesh.bounds[:, :2]
     pitch = max(PITCH, float((upper - lower).max()) / _MAX_CELLS)
-    view = look_down(mesh, lower, upper, _cells(upper - lower, pitch))
+    view = look_down(mesh, lower, upper, num_cells(upper - lower, pitch))
     heights = np.sort(view.height[view.is_level])
     count = np.searchsorted(heights, heights + _SAME_HEIGHT, side="right") - np.arange(len(heights))
     area = float(count.max() * view.cell.prod()) if len(heights) else 0.0
@@ -435,7 +425,7 @@ def _view(mesh: Mesh, top: float) -> Overhead:
     points = _top_vertices(mesh, top)
     lower = points.min(0)
     upper = points.max(0)
-    shape = _cells(upper - lower, PITCH)
+    shape = num_cells(upper - lower, PITCH)
     cell = (upper - lower) / shape
     more = np.ceil(_RIM / cell).astype(int)
     view = look_down(mesh, lower - more * cell, upper + more * cell, shape + 2 * more)

@@ -16,17 +16,15 @@ from itertools import product
 
 import numpy as np
 from scipy import ndimage
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.config import SURFACE_AIR, SURFACE_AREA, SURFACE_WIDTH
-from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.mesh import Mesh, connected
 from cluttergen_jax.assets.outline import Ring, outline_of_cells
 from cluttergen_jax.assets.support import Rectangle, Surface
 from cluttergen_jax.assets.support_map import Span, cells_below, cover, largest_rectangle
 from cluttergen_jax.assets.voxels import Voxels
-from cluttergen_jax.geometry import rotate_in_plane, yaw_matrix
+from cluttergen_jax.geometry import box_corners, cell_centers, rotate_in_plane, yaw_matrix
 
 _STEEPEST = math.radians(10.05)
 _LEVEL = math.radians(0.5)
@@ -80,7 +78,7 @@ class FoundSurface:
 def _corners(span: Span, lower: np.ndarray, cell: np.ndarray, yaw: float) -> np.ndarray:
     low = lower + cell * (span[0], span[2])
     high = lower + cell * (span[1], span[3])
-    return rotate_in_plane(np.array([low, (high[0], low[1]), high, (low[0], high[1])]), yaw)
+    return rotate_in_plane(box_corners(low, high), yaw)
 
 
 def find_surfaces(mesh: Mesh, yaw: float) -> tuple[list[FoundSurface], list[str]]:
@@ -124,6 +122,17 @@ def find_surfaces(mesh: Mesh, yaw: float) -> tuple[list[FoundSurface], list[str]
     return sorted(found, key=lambda each: -each.surface.position[2]), notes
 
 
+def num_cells(size: np.ndarray, pitch: float) -> np.ndarray:
+    """i[2]: how many cells of at most `pitch` fill a rectangle."""
+    return np.maximum(np.ceil(size / pitch - 1e-9), 1).astype(int)
+
+
+def without_cracks(mask: np.ndarray) -> np.ndarray:
+    """bool[X, Y]: the True cells, with gaps of one cell or two between them closed."""
+    closed = ndimage.binary_closing(np.pad(mask, 1), np.ones((3, 3)))
+    return np.asarray(closed[1:-1, 1:-1])
+
+
 def _plane(spots: np.ndarray) -> np.ndarray:
     """f64[3]: the plane z = fit . (x, y, 1) nearest to points."""
     return np.linalg.lstsq(
@@ -149,11 +158,8 @@ class _Layers:
     def of(mesh: Mesh, voxels: Voxels) -> _Layers:
         lower, upper = mesh.bounds[:, :2]
         pitch = max(_PITCH, float((upper - lower).max()) / _MOST_CELLS)
-        shape = np.maximum(np.ceil((upper - lower) / pitch - 1e-9), 1).astype(int)
-        normals = mesh.normals
-        is_level = (
-            np.abs(normals[:, 2]) > math.cos(_STEEPEST) * np.linalg.norm(normals, axis=1) - 1e-9
-        )
+        shape = num_cells(upper - lower, pitch)
+        is_level = np.abs(mesh.normals[:, 2]) > math.cos(_STEEPEST) * mesh.areas - 1e-9
         cells = [np.zeros(0, int)]
         heights = [np.zeros(0)]
         level = [np.zeros(0, bool)]
@@ -180,8 +186,8 @@ class _Layers:
 
     def spots(self) -> np.ndarray:
         """f64[L, X, Y, 3]: the crossings."""
-        x, y = (self.lower[k] + self.pitch * (np.arange(self.z.shape[k + 1]) + 0.5) for k in (0, 1))
-        return np.stack(np.broadcast_arrays(x[:, None], y, self.z), axis=-1)
+        xy = cell_centers(self.lower, self.pitch, self.z.shape[1:])
+        return np.stack(np.broadcast_arrays(xy[..., 0], xy[..., 1], self.z), axis=-1)
 
     def patches(self) -> list[np.ndarray]:
         """f64[N, 3] each: crossings that carry and continue each other from cell to cell."""
@@ -200,9 +206,7 @@ class _Layers:
                 )
                 pairs.append(np.stack([here[is_one], there[is_one]], axis=1))
         edges = np.concatenate(pairs)
-        count = int(self.carries.sum())
-        graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count))
-        _, label = connected_components(graph, directed=False)
+        label = connected(edges, int(self.carries.sum()))
         spots = self.spots()[self.carries]
         groups = [spots[label == each] for each in np.flatnonzero(np.bincount(label) >= _FEWEST)]
         return sorted(groups, key=lambda group: -group[:, 2].mean())
@@ -261,10 +265,9 @@ def _measure(
         mask[window] |= is_hit & (np.abs(over) <= _FLAT)
         is_under = is_hit & (over < -_FLAT)
         below[window] = np.where(is_under, np.maximum(below[window], over), below[window])
-    x, y = (lower[k] + cell[k] * (np.arange(shape[k]) + 0.5) for k in (0, 1))
-    centers = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+    centers = cell_centers(lower, cell, shape)
     mask &= cKDTree(seeds).query(centers)[0] <= 1.01 * pitch
-    mask = ndimage.binary_closing(np.pad(mask, 1), np.ones((3, 3)))[1:-1, 1:-1]
+    mask = without_cracks(mask)
     walls = risen[(risen[:, 2] > _FLAT + 0.001) & (risen[:, 2] < SURFACE_AIR)][:, :2]
     # A wall's inner face lies on a cell's border: it belongs to the cell farther out.
     index = np.floor((walls + 0.001 * np.sign(walls - centers.mean((0, 1))) - lower) / cell)

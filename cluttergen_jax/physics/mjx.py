@@ -87,9 +87,10 @@ class _Checks(struct.PyTreeNode):
 _Run = TypeVar("_Run", _Attempts, _Checks)
 
 
-_SLOW = (
-    "compiling engine 'jax' for {number} convex parts: half a minute for four, minutes for ninety; on a CPU"
-    " it then runs tens to hundreds of times slower than engine 'native', which compiles in seconds"
+_REFERENCE = (
+    "compiling engine 'jax', which is a reference and none for many scenes, for {number} convex parts: half a"
+    " minute for four, minutes for ninety; on a CPU it then runs tens to hundreds of times slower than engine"
+    " 'native', which compiles in seconds"
 )
 
 
@@ -99,7 +100,7 @@ class MjxPhysics(OneScenePhysics):
     Args:
       layout: the compiled world.
       config: when an object stands still.
-      impl: "warp" (an NVIDIA GPU; slowly, a CPU) or "jax" (wherever XLA runs; slow).
+      impl: "warp" (an NVIDIA GPU; slowly, a CPU) or "jax" (a reference, wherever XLA runs; slow).
       options: of Warp.
 
     Raises:
@@ -117,8 +118,8 @@ class MjxPhysics(OneScenePhysics):
         super().__init__(config, one_scene(self.settle_batch), one_scene(self.stand_batch))
         self.layout = layout
         self.scenes = MjxScenes(layout, impl, options)
-        if impl == "jax" and jax.default_backend() == "cpu":
-            self.compiling = _SLOW.format(number=layout.model.ngeom)
+        if impl == "jax":
+            self.compiling = _REFERENCE.format(number=layout.model.ngeom)
 
     def settle_batch(
         self, poses: Array, is_placed: Array, focus: Array, is_active: Array

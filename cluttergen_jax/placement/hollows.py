@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from cluttergen_jax.assets.hollow import hollow_of
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.quality.hollow import hollow_of
 from cluttergen_jax.assets.support_map import VOID
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.baselines import costs_of_staying

@@ -8,6 +8,7 @@ import trimesh
 
 from cluttergen_jax.assets.body import BodyConfig, make_object
 from cluttergen_jax.assets.config import MAX_PART_VERTICES, DecompositionConfig
+from cluttergen_jax.assets.deviation import deviation, is_within_parts
 from cluttergen_jax.assets.mass import mass_properties
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.object import CLOUD_SIZE
@@ -15,7 +16,6 @@ from cluttergen_jax.assets.parts import (
     hull_of,
     reduce_vertices,
 )
-from cluttergen_jax.assets.quality.deviation import deviation, is_within_parts
 from cluttergen_jax.assets.settle import settled_turn, tilt_of
 from cluttergen_jax.assets.solid import solid_of
 from cluttergen_jax.errors import AssetError, ConfigError

@@ -6,12 +6,16 @@ import pytest
 
 from cluttergen_jax.assets.config import DecompositionConfig
 from cluttergen_jax.assets.decompose import decompose
-from cluttergen_jax.assets.exact_parts import exact_parts
+from cluttergen_jax.assets.deviation import deviation, is_within_parts
+from cluttergen_jax.assets.exact_parts import (
+    convex_pieces,
+    exact_parts,
+    outlines_around,
+    signed_area,
+)
+from cluttergen_jax.assets.hollow import find_hollow
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.outlines import convex_pieces, outlines_around, signed_area
 from cluttergen_jax.assets.parts import finish_parts, hull_of
-from cluttergen_jax.assets.quality.deviation import deviation, is_within_parts
-from cluttergen_jax.assets.quality.hollow import find_hollow
 from cluttergen_jax.assets.solid import solid_of
 from tests.helpers.shapes import slab
 

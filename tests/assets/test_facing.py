@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
-from cluttergen_jax.assets.mesh_repair.orientation import orient_faces
+from cluttergen_jax.assets.orientation import orient_faces
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.solid import simplify_solid, solid_of
 from cluttergen_jax.importing.readers.primitives import cylinder, ellipsoid

@@ -8,9 +8,9 @@ from shapely.geometry import Polygon
 from shapely.ops import unary_union
 
 from cluttergen_jax.assets.mjcf import add_support, new_spec
-from cluttergen_jax.assets.modeller.furniture import SUPPORTS, make_support
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError, PoolError
+from scenes.furniture import SUPPORTS, make_support
 
 every_table = pytest.mark.parametrize(
     "name", [name for name in SUPPORTS if not make_support(name).named]

@@ -6,9 +6,9 @@ import pytest
 from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.cloud import sample_exposed, sample_surface
+from cluttergen_jax.assets.deviation import _farthest
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.parts import finish_parts, hull_of
-from cluttergen_jax.assets.quality.deviation import _farthest
 from cluttergen_jax.assets.settle import resting_poses, solo_model
 from cluttergen_jax.assets.voxels import Voxels
 from cluttergen_jax.geometry import rotation_matrix

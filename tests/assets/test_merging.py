@@ -5,9 +5,9 @@ import trimesh
 
 from cluttergen_jax.assets.config import DecompositionConfig
 from cluttergen_jax.assets.decompose import decompose, merge_parts, parts_enough
+from cluttergen_jax.assets.deviation import deviation
+from cluttergen_jax.assets.hollow import find_hollow
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.quality.deviation import deviation
-from cluttergen_jax.assets.quality.hollow import find_hollow
 from cluttergen_jax.assets.solid import solid_of
 from tests.helpers.shapes import slab
 

@@ -12,10 +12,10 @@ from manifold3d import Manifold, OpType
 from scipy.spatial import ConvexHull
 
 from cluttergen_jax.assets.config import MAX_PART_VERTICES
+from cluttergen_jax.assets.deviation import size_alarm
 from cluttergen_jax.assets.modeller import parts, solids
 from cluttergen_jax.assets.modeller.catalog import FAMILIES, POOLS, make_shape
 from cluttergen_jax.assets.modeller.vessel import Vessel
-from cluttergen_jax.assets.quality.deviation import size_alarm
 from cluttergen_jax.errors import AssetError, PoolError
 
 SHAPES = "996a4206620cde78"

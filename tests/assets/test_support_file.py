@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from cluttergen_jax.assets.modeller.furniture import SUPPORTS, make_support
 from cluttergen_jax.assets.support_file import (
     find_support,
     list_supports,
     read_support,
     write_support,
 )
+from scenes.furniture import SUPPORTS, make_support
 
 
 def assert_same(left, right):

@@ -9,7 +9,6 @@ import pytest
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.mjcf import add_support, new_spec
-from cluttergen_jax.assets.modeller.furniture import SUPPORTS, make_support
 from cluttergen_jax.assets.outline import outline_of_cells, ring_area
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, Surface, cuboid_table
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
@@ -17,6 +16,7 @@ from cluttergen_jax.assets.support_map import free_height, surface_heights
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.geometry import rotate_in_plane
+from scenes.furniture import SUPPORTS, make_support
 
 SEVERAL = [name for name in SUPPORTS if make_support(name).named]
 

@@ -9,13 +9,13 @@ import trimesh
 from PIL import Image
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.mesh_repair.simplify import simplify_pieces
 from cluttergen_jax.assets.shape import Piece, Shape
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
 from cluttergen_jax.assets.texture import Texture
+from cluttergen_jax.assets.visuals import simplify_pieces
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.importing.readers import ReadOptions, read_source
-from cluttergen_jax.importing.supports import support_from_mesh
+from cluttergen_jax.importing.supports import support_with_notes
 from tests.helpers import textured
 from tests.helpers.shapes import SOURCE
 from tests.helpers.textured import assert_upright
@@ -137,7 +137,7 @@ def test_supports_keep_their_image(tmp_path):
     piece = Piece(
         Mesh(vertices * 5, faces), (1.0, 1.0, 1.0, 1.0), uv, Texture.of(textured.picture())
     )
-    support = support_from_mesh(Shape("tray", "tray", (piece,), SOURCE))
+    support, _ = support_with_notes(Shape("tray", "tray", (piece,), SOURCE))
     back = read_support(write_support(tmp_path / "tray", support))
     assert support_hash(back) == support_hash(support)
     assert back.pieces[0].texture == piece.texture

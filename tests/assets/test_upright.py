@@ -7,8 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.solid import solid_of
-from cluttergen_jax.assets.stances import stances
-from cluttergen_jax.assets.upright import usual_poses
+from cluttergen_jax.assets.stances import stances, usual_poses
 
 TURN = Rotation.random(random_state=3).as_matrix()
 

@@ -6,11 +6,11 @@ import trimesh
 from PIL import Image
 
 from cluttergen_jax.assets.mesh import join_meshes
-from cluttergen_jax.assets.modeller.furniture import make_support
 from cluttergen_jax.assets.support_file import find_support, user_supports
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.rendering.picture import distinct_colour
 from cluttergen_jax.scene.bank import read_bank
+from scenes.furniture import make_support
 
 pytestmark = pytest.mark.usefixtures("home")
 DESK = make_support("drawer_desk")

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 import pytest
 
+import cluttergen_jax as cg
 from cluttergen_jax.downstream.fitting import FitConfig
 from cluttergen_jax.downstream.placer import training
 from cluttergen_jax.downstream.placer.heads.checkpoint import load_placer, placer_folder
@@ -17,27 +18,16 @@ from cluttergen_jax.downstream.placer.heads.features import (
     features_of,
     own_shape,
 )
-from cluttergen_jax.downstream.placer.heads.mixture import MixtureConfig, MixtureHead
-from cluttergen_jax.downstream.placer.heads.regression import (
-    Clouds,
-    RegressionConfig,
-    RegressionExample,
-    RegressionHead,
-)
 from cluttergen_jax.downstream.placer.heads.scored import ScoredConfig, ScoredHead, lower_candidates
 from cluttergen_jax.downstream.placer.map_search import APART
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS
 from cluttergen_jax.downstream.placer.training import PlacerTraining, best_temperature
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
 from tests.helpers.queries import HALF, made_up_examples, made_up_query
 
 HEADS = {
     "scored": ScoredHead(ScoredConfig(8, 16, 16, 32, 16, 4, 2)),
-    "mixture": MixtureHead(MixtureConfig(6, 4, (8,), 16)),
-    "regression": RegressionHead(
-        RegressionConfig(features=16, scene_points=64, object_points=32, widths=(16,))
-    ),
 }
 
 
@@ -128,60 +118,12 @@ def test_placers_propose_under_jit_and_vmap(name, examples):
     found = proposed(head.placer(jax.jit(head.init)(jax.random.key(1)), 1.5), examples)
     assert found.pose.shape == (3, NUM_PROPOSALS, 4)
     assert np.isfinite(found.pose).all()
-    if name == "regression":
-        # It names one pose.
-        assert np.ptp(found.pose, axis=1).max() == 0
-        return
     assert np.abs(found.pose[..., :2]).max() <= HALF
     apart = np.linalg.norm(found.pose[:, :, None, :2] - found.pose[:, None, :, :2], axis=-1)
     assert apart[:, ~np.eye(NUM_PROPOSALS, dtype=bool)].min() >= APART
     scores = np.asarray(found.score)
-    if name == "scored":
-        assert ((scores > 0) & (scores < 1)).all()
-        assert (np.diff(scores, axis=1) <= 0).all()
-    else:
-        assert np.isnan(scores).all()
-
-
-def one_example(yaw):
-    clouds = Clouds(
-        *(np.zeros((1, 64, 3)), np.ones((1, 64), bool)),
-        np.zeros((1, 32, 3)),
-        np.ones((1, 2)),
-        np.ones((1, 3)),
-    )
-    return RegressionExample(clouds, np.array([[0.1, 0.0, 0.2, yaw]], np.float32))
-
-
-@pytest.fixture(scope="module")
-def params():
-    return jax.jit(HEADS["regression"].init)(jax.random.key(0))
-
-
-def test_the_printed_loss_weighs_each_error_by_the_others_share(params):
-    head = HEADS["regression"]
-
-    def of(name):
-        def part(params):
-            total, parts = head.loss(params, one_example(0.5), jax.random.key(0))
-            return parts.get(name, total)
-
-        return part
-
-    slopes = jax.jit(
-        lambda params: {
-            name: jax.value_and_grad(of(name))(params) for name in ("total", "position", "turn")
-        }
-    )(params)
-    a = float(slopes["position"][0])
-    b = float(slopes["turn"][0])
-    assert float(slopes["total"][0]) == pytest.approx(2 * a * b / (a + b), rel=1e-5)
-    expected = jax.tree.map(
-        lambda p, t: b / (a + b) * p + a / (a + b) * t, slopes["position"][1], slopes["turn"][1]
-    )
-    jax.tree.map(
-        lambda x, y: np.testing.assert_allclose(x, y, atol=1e-6), slopes["total"][1], expected
-    )
+    assert ((scores > 0) & (scores < 1)).all()
+    assert (np.diff(scores, axis=1) <= 0).all()
 
 
 @pytest.mark.parametrize("true", [0.5, 1.0, 3.0])
@@ -209,7 +151,7 @@ class Taught:
 CONFIG = FitConfig(num_epochs=4, batch_size=4, learning_rate=1e-2)
 
 
-def run(folder, head="mixture", config=CONFIG):
+def run(folder, head="scored", config=CONFIG):
     return PlacerTraining(HEADS[head], config, Taught(), folder, lambda line: None)
 
 
@@ -249,7 +191,7 @@ def test_a_run_that_ends_while_its_picture_is_drawn_draws_it_when_it_goes_on(tmp
 
 @pytest.mark.slow
 def test_a_run_that_was_stopped_ends_as_one_that_was_not(runs, tmp_path, monkeypatch):
-    whole = runs("mixture")
+    whole = runs("scored")
     stopped = run(tmp_path / "stopped")
     batch = PlacerTraining._batch
 
@@ -269,7 +211,7 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(runs, tmp_path, monkeyp
     files = [
         {path.name: path.read_bytes() for path in folder.iterdir()} for folder in (whole, again)
     ]
-    assert set(files[0]) == {"record.json", "weights.npz"}
+    assert set(files[0]) == {"calibration.png", "record.json", "weights.npz"}
     weights = [np.load(folder / "weights.npz") for folder in (whole, again)]
     for name in weights[0].files:
         np.testing.assert_array_equal(weights[0][name], weights[1][name])
@@ -297,3 +239,12 @@ def test_a_stored_placer_proposes_what_it_did(name, tmp_path, examples):
     )
     np.testing.assert_array_equal(there.pose, back.pose)
     np.testing.assert_array_equal(there.score, back.score)
+
+
+@pytest.mark.parametrize("name", ["mixture", "regression"])
+def test_a_head_that_was_removed_is_named(name, tmp_path):
+    save_policy(tmp_path, {}, {"kind": "placer", "head": name})
+    with pytest.raises(PoolError, match=f"{name}', which was removed.*'scored', trained"):
+        load_placer(tmp_path)
+    with pytest.raises(ConfigError, match=f"{name}', which was removed.*scored"):
+        cg.placer_train(tmp_path, head=name)

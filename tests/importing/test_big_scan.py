@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from cluttergen_jax.assets.mesh_repair.simplify import MAX_TRIANGLES
 from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.visuals import MAX_TRIANGLES
 
 pytestmark = pytest.mark.slow
 

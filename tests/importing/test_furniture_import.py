@@ -6,19 +6,18 @@ import trimesh
 
 from cluttergen_jax import import_support
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
-from cluttergen_jax.assets.modeller.furniture import SUPPORTS, make_support
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import AssetError, ConfigError
-from cluttergen_jax.importing.furniture_file import find_furniture
-from cluttergen_jax.importing.furniture_pose import choose_up, looks_of, read_upright
+from cluttergen_jax.importing.furniture import choose_up, find_furniture, looks_of, read_upright
 from cluttergen_jax.importing.readers import ReadOptions
 from cluttergen_jax.importing.readers.source import turn_of
 from cluttergen_jax.importing.run import import_sources
-from cluttergen_jax.importing.support_space import Column, air_over, without_air
+from cluttergen_jax.importing.support_collision import AirBox, air_over, without_air
 from cluttergen_jax.importing.supports import support_with_notes
+from scenes.furniture import SUPPORTS, make_support
 from tests.helpers.cases import CASES
 
 pytestmark = pytest.mark.usefixtures("home")
@@ -241,7 +240,7 @@ def test_what_is_cut_out_of_parts_is_free_and_all_else_is_filled_as_before():
     turn[:3, :3] = trimesh.transformations.rotation_matrix(0.4, (0, 0, 1))[:3, :3]
     turn[:3, 3] = 0.1, 0.2, 0.3
     corners = np.array([[-0.1, -0.2], [0.1, -0.2], [0.1, 0.2], [-0.1, 0.2]])
-    column = Column(turn, corners, 0.25)
+    column = AirBox(turn, corners, 0.25)
     center = np.array([0.1, 0.2, 0.3])
     part = trimesh.creation.icosphere(2, 0.4).vertices + center
     pieces = without_air([np.asarray(part)], [column])

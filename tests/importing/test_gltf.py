@@ -8,7 +8,7 @@ from PIL import Image
 from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import ReadOptions, read_source
-from cluttergen_jax.importing.readers.gltf_file import read_document
+from cluttergen_jax.importing.readers.gltf import read_document
 from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
 from tests.helpers.cases import CASES
 from tests.helpers.gltf import POINTS, Gltf
@@ -178,7 +178,7 @@ def painted(path, size=8):
 def test_a_material_needs_no_name(tmp_path):
     path = painted(tmp_path / "red.glb")
     assert "name" not in read_document(path)["materials"][0]
-    (piece,), notes = read_mesh_file(path)
+    (piece,), notes, _ = read_mesh_file(path)
     assert piece.texture is not None
     assert not notes
     document = read_document(path)
@@ -187,7 +187,7 @@ def test_a_material_needs_no_name(tmp_path):
     start = len(data) - document["buffers"][0]["byteLength"] + view.get("byteOffset", 0)
     data[start : start + view["byteLength"]] = bytes(view["byteLength"])
     path.write_bytes(data)
-    (piece,), notes = read_mesh_file(path)
+    (piece,), notes, _ = read_mesh_file(path)
     assert piece.texture is None
     assert notes == ("the image of material 'number 0' cannot be read",)
 
@@ -222,6 +222,6 @@ def test_colours_at_vertices_show_under_a_white_material_and_alpha_where_it_is_m
     gltf.primitive["attributes"]["COLOR_0"] = gltf.add(green, normalized=True)
     gltf.document["materials"] = [material]
     gltf.primitive["material"] = 0
-    (piece,), notes = read_mesh_file(gltf.write(tmp_path / "box.glb"))
+    (piece,), notes, _ = read_mesh_file(gltf.write(tmp_path / "box.glb"))
     np.testing.assert_allclose(np.array(piece.rgba) * 255, rgba, atol=1)
     assert notes == said

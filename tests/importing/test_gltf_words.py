@@ -8,7 +8,7 @@ from cluttergen_jax.assets.facts import ObjectFacts, parse_condition
 from cluttergen_jax.assets.object_files import object_hash, read_object, write_object
 from cluttergen_jax.importing.planning import plan_all
 from cluttergen_jax.importing.readers import ReadOptions, read_shape
-from cluttergen_jax.importing.readers.gltf_file import words_of
+from cluttergen_jax.importing.readers.gltf import words_of
 from tests.helpers.gltf import Gltf
 from tests.helpers.shapes import make_box
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import trimesh
 
+from cluttergen_jax.assets.deviation import gap_alarm
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.quality.deviation import gap_alarm
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.assets.solid import solid_of
 from cluttergen_jax.cli.import_ import Import, print_report

@@ -10,7 +10,7 @@ from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_source
 from cluttergen_jax.importing.readers.materials import GREY
-from cluttergen_jax.importing.readers.mesh_text import material_lines
+from cluttergen_jax.importing.readers.mesh_file import material_lines
 from tests.helpers.cases import CASES
 
 DIE = (CASES / "03_dae_unit" / "inch_die.dae").read_text()

@@ -6,7 +6,7 @@ import pytest
 
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_source
-from cluttergen_jax.importing.readers.mjcf import compile_with_notes
+from cluttergen_jax.importing.readers.mjcf_compile import compile_with_notes
 from cluttergen_jax.scene.mjcf_file import read_mjcf_scene_with_notes
 from tests.helpers.cases import CASES
 

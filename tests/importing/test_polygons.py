@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from cluttergen_jax.assets.folds import num_folds, without_folds
 from cluttergen_jax.assets.mesh import Mesh, clean_mesh
-from cluttergen_jax.assets.mesh_repair.folds import num_folds, without_folds
+from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_source
 
 CASES = Path(__file__).parents[1] / "cases" / "import" / "01_ngon_concave"
@@ -89,8 +90,6 @@ def as_dae(vertices, polygons):
 WRITERS = {
     "prism.obj": as_obj,
     "text.ply": as_ply,
-    "little.ply": lambda *what: as_ply(*what, "<"),
-    "big.ply": lambda *what: as_ply(*what, ">"),
     "prism.dae": as_dae,
 }
 
@@ -116,6 +115,21 @@ def test_every_format_covers_an_outline_once(name, seed, tmp_path):
         assert mesh.volume == pytest.approx(inside * HEIGHT, rel=1e-4)
         assert area(mesh) == pytest.approx(2 * inside + around * HEIGHT, rel=1e-4)
         assert trimesh.Trimesh(mesh.vertices, mesh.faces).is_watertight
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_faces_of_a_binary_ply_have_as_many_corners(order, tmp_path):
+    """The parser takes the first face's number for all: refused, not read as something else."""
+    path = tmp_path / "prism.ply"
+    path.write_bytes(as_ply(*prism(outline(0)[0], 0), order))
+    with pytest.raises(AssetError, match=r"number of corners.*triangulated faces, or as text"):
+        read_source(path)
+    # As many bytes as of four corners each.
+    vertices, polygons = prism(np.array([[0, 0], [0.1, 0], [0.1, 0.1], [0, 0.1]]), 0)
+    polygons[4:] = [polygons[4][:3], [*polygons[5], polygons[4][0]]]
+    path.write_bytes(as_ply(vertices, polygons, order))
+    with pytest.raises(AssetError, match=r"number of corners.*triangulated faces, or as text"):
+        read_source(path)
 
 
 def fanned(points, start):

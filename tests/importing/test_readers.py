@@ -131,7 +131,7 @@ NAN_DAE = re.sub(rb"(<float_array[^>]*>)\S+", rb"\1-NaN", exported("dae"), count
             b"\n<!DOCTYPE html><html>Not found</html>" * 9,
             "a page of HTML in place of the file",
         ),
-        ("a.ply", MIXED_PLY, "its triangles name vertices that it does not have"),
+        ("a.ply", MIXED_PLY, "its faces differ in their number of corners"),
         ("a.stl", exported("stl")[:-30], "12 triangles needs 684 bytes"),
         ("a.stl", exported("stl_ascii").encode()[:-60], "its last triangle has no end"),
         (

@@ -8,11 +8,11 @@ from shapely.ops import unary_union
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller.bins import SIZES
-from cluttergen_jax.assets.modeller.furniture import SUPPORTS, make_support
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.assets.support_map import cover, largest_rectangle
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.supports import support_from_mesh
+from cluttergen_jax.importing.supports import support_with_notes
+from scenes.furniture import SUPPORTS, make_support
 
 # Of a container on a table the table is found.
 FURNITURE = [
@@ -54,7 +54,7 @@ def region_of(support):
 @pytest.mark.parametrize("angle", [0.0, pytest.param(0.4, marks=pytest.mark.slow)])
 def test_our_tables_are_found_again(name, angle):
     own = make_support(name)
-    found = support_from_mesh(shape_of(own, angle, (3.0, -2.0, 0.7)))
+    found, _ = support_with_notes(shape_of(own, angle, (3.0, -2.0, 0.7)))
     assert found.top == pytest.approx(own.top, abs=1e-6)
     outline, tops = top_outline(found)
     assert outline.area == pytest.approx(
@@ -83,7 +83,7 @@ def test_our_tables_are_found_again(name, angle):
 def test_rims_and_risers_become_obstacles():
     for name in ("tray_table", "shelf_desk"):
         own = make_support(name)
-        found = support_from_mesh(shape_of(own))
+        found, _ = support_with_notes(shape_of(own))
         highest = max(box.center[2] + box.half_extents[2] for box in own.boxes)
         assert max(b.center[2] + b.half_extents[2] for b in found.boxes) == pytest.approx(
             highest, abs=1e-6
@@ -93,7 +93,7 @@ def test_rims_and_risers_become_obstacles():
 def test_what_has_no_level_top_is_refused():
     ball = trimesh.creation.icosphere(3, 0.3)
     with pytest.raises(AssetError, match="level area"):
-        support_from_mesh(Shape("ball", "ball", (Piece(Mesh(ball.vertices, ball.faces)),), SOURCE))
+        support_with_notes(Shape("ball", "ball", (Piece(Mesh(ball.vertices, ball.faces)),), SOURCE))
 
 
 @pytest.mark.parametrize("seed", range(30))

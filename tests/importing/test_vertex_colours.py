@@ -8,10 +8,10 @@ from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.body import make_object
 from cluttergen_jax.assets.cloud import cloud_colours, coloured_points
-from cluttergen_jax.assets.mesh_repair.simplify import simplify_pieces
 from cluttergen_jax.assets.object_files import read_object, write_object
+from cluttergen_jax.assets.visuals import simplify_pieces
 from cluttergen_jax.importing.readers import find_sources, read_shape
-from cluttergen_jax.importing.readers.colours import LEFT_OUT
+from cluttergen_jax.importing.readers.materials import LEFT_OUT
 from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
 from cluttergen_jax.importing.readers.source import ReadOptions
 from tests.helpers.cases import CASES
@@ -142,7 +142,7 @@ def test_an_obj_file_s_vertices_go_before_plain_materials(tmp_path, names, said)
         text = text.replace("\nf ", f"\nusemtl {name}\nf\t", 1)
     (tmp_path / "ball.obj").write_text(f"mtllib ball.mtl\n{text}")
     (tmp_path / "ball.mtl").write_text("newmtl a\nKd 0.75 0.75 0.75\nnewmtl b\nKd 1 0 0\n")
-    pieces, notes = read_mesh_file(tmp_path / "ball.obj")
+    pieces, notes, _ = read_mesh_file(tmp_path / "ball.obj")
     assert notes == said
     assert all(piece.colours is not None for piece in pieces)
 
@@ -152,5 +152,5 @@ def test_where_an_image_may_lie_it_is_said_that_vertices_lose(tmp_path):
     text = text.replace("\nf ", "\nvt 0 0\nusemtl a\nf ", 1)
     (tmp_path / "ball.obj").write_text(f"mtllib ball.mtl\n{text}")
     (tmp_path / "ball.mtl").write_text("newmtl a\nKd 1 0 0\n")
-    _, notes = read_mesh_file(tmp_path / "ball.obj")
+    _, notes, _ = read_mesh_file(tmp_path / "ball.obj")
     assert LEFT_OUT in notes

@@ -1,5 +1,6 @@
 """Policies of poses: with fewer attempts than they know they act as before, and more are refused."""
 
+import json
 from dataclasses import asdict, replace
 
 import jax
@@ -9,11 +10,13 @@ import pytest
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.agents import make_agent
+from cluttergen_jax.learning.methods import choose_method
 from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
 from cluttergen_jax.learning.policies.policy import load_policy
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
 from cluttergen_jax.placement.env import PlacementEnv
+from cluttergen_jax.spec import SceneSpec
 from tests.helpers.problems import trio_problem
 
 NETWORK = NetworkConfig(width=16, num_layers=2)
@@ -60,3 +63,18 @@ def test_a_policy_acts_with_fewer_attempts_than_it_was_trained_with(rules, store
 def test_a_policy_refuses_more_attempts(rules, stored):
     with pytest.raises(ConfigError, match="max_attempts = 7"):
         load_policy(read_checkpoint(stored), with_attempts(rules, 7))
+
+
+def test_a_method_that_was_removed_is_named(stored, tmp_path):
+    """Of version 0.1.0: by whoever asks for it, and by a checkpoint or a bank that it made."""
+    said = "'beta', which was removed after version 0.1.0.*beta_free, the paper's own"
+    with pytest.raises(ConfigError, match=said):
+        SceneSpec(method="beta")
+    record = json.loads((stored / "record.json").read_text())
+    record.pop("sha256", None)
+    (tmp_path / "record.json").write_text(json.dumps(record | {"variant": "beta"}))
+    (tmp_path / "weights.npz").write_bytes((stored / "weights.npz").read_bytes())
+    with pytest.raises(ConfigError, match=f"checkpoint of method {said}"):
+        choose_method("policy", "dining", tmp_path)
+    with pytest.raises(ConfigError, match=said):
+        choose_method(None, "dining", tmp_path)

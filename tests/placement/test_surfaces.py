@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.api.generate import generate
-from cluttergen_jax.assets.modeller.furniture import make_support
 from cluttergen_jax.assets.support import Rectangle, parse_surfaces
 from cluttergen_jax.assets.support_map import VOID, check_region
 from cluttergen_jax.config import ContactConfig
@@ -21,6 +20,7 @@ from cluttergen_jax.scene.bank import read_bank, read_scenes
 from cluttergen_jax.sensing.partial import Grid
 from cluttergen_jax.spec import SceneSpec
 from cluttergen_jax.types import Settling, Verdict
+from scenes.furniture import make_support
 from tests.helpers.worlds import box, prism
 
 BOOKCASE = make_support("bookcase")

@@ -37,7 +37,9 @@ def test_a_pool_reads_as_it_was_written():
     assert pool.names == ("block", "can")
     np.testing.assert_allclose(pool["block"].half_extents, (0.04, 0.025, 0.02), atol=1e-6)
     assert pool["block"].mass == pytest.approx(0.08 * 0.05 * 0.04 * 500, rel=1e-3)
-    np.testing.assert_allclose(pool["can"].pieces[0].rgba, (200 / 255, 60 / 255, 40 / 255, 1), atol=1e-3)
+    np.testing.assert_allclose(
+        pool["can"].pieces[0].rgba, (200 / 255, 60 / 255, 40 / 255, 1), atol=1e-3
+    )
     assert {asset.name: object_hash(asset) for asset in pool.objects} == HASHES
 
 
@@ -54,7 +56,9 @@ def test_a_bank_reads_stands_and_resets():
     stored = pq.read_table(GOLDEN / "bank" / "scenes-000000.parquet")["poses"].to_pylist()
     assert bank.table["poses"].to_pylist() == stored
     scene = cg.load_bank(GOLDEN / "bank").scene(1)
-    np.testing.assert_array_equal(scene.T_world_object.translation(), np.array(stored[1], np.float32)[:, :3])
+    np.testing.assert_array_equal(
+        scene.T_world_object.translation(), np.array(stored[1], np.float32)[:, :3]
+    )
     assert all(verify_scene(path).stands for path in scene_files(bank.path))
 
 

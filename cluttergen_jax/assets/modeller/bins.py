@@ -6,13 +6,16 @@ floor. The region is the whole floor.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from cluttergen_jax.assets.modeller import joinery
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, hex_colors, shade, vary
+from cluttergen_jax.assets.modeller.draw import Rng, hex_colors, made_by, shade, vary
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset
 from cluttergen_jax.errors import ConfigError
+
+WOODS = hex_colors("c9a375 b5814f 8a5a3a dcc49c a4683f")
 
 SIZES: dict[str, tuple[float, float, float]] = {
     "bin": (0.40, 0.30, 0.15),
@@ -33,6 +36,33 @@ _HEIGHT = 0.70
 
 _CORNER = 0.012
 _COLORS = dict(zip(SIZES, hex_colors("4f6d8c 8a9099 b5814f"), strict=True))
+
+
+def slab(size: Sequence[float], center: Sequence[float], low: float) -> Box:
+    """The collision box of `size` (x, y, z) standing on height `low`, centred on `center` (x, y)."""
+    half = (size[0] / 2, size[1] / 2, size[2] / 2)
+    return Box((float(center[0]), float(center[1]), low + half[2]), half)
+
+
+def table(
+    name: str,
+    top: float,
+    region: Rectangle,
+    boxes: Sequence[Box],
+    pieces: Sequence[cad.Painted],
+    label: str = "",
+) -> SupportAsset:
+    """Puts a table together; its provenance is the modeller, and its label the name's words if empty."""
+    label = label or name.replace("_", " ")
+    return SupportAsset(
+        name,
+        label,
+        tuple(boxes),
+        top,
+        region,
+        made_by(name),
+        tuple(cad.piece(*each) for each in pieces),
+    )
 
 
 def open_container(
@@ -58,31 +88,27 @@ def open_container(
     width, depth, height = (vary(rng, float(side), 0.1) for side in given)
     outer = (width + 2 * WALL, depth + 2 * WALL)
     top = _HEIGHT + WALL
-    table = tuple(max(least, side + 2 * _AROUND) for least, side in zip(_TABLE, outer, strict=True))
+    under = tuple(max(least, side + 2 * _AROUND) for least, side in zip(_TABLE, outer, strict=True))
     color = shade(rng, (_COLORS[kind],))
-    wood = shade(rng, joinery.WOODS)
+    wood = shade(rng, WOODS)
     walls: list[Box] = []
     for sign in (-1, 1):
-        walls.append(
-            joinery.slab((WALL, outer[1], WALL + height), (sign * (width + WALL) / 2, 0), _HEIGHT)
-        )
-        walls.append(
-            joinery.slab((width, WALL, WALL + height), (0, sign * (depth + WALL) / 2), _HEIGHT)
-        )
+        walls.append(slab((WALL, outer[1], WALL + height), (sign * (width + WALL) / 2, 0), _HEIGHT))
+        walls.append(slab((width, WALL, WALL + height), (0, sign * (depth + WALL) / 2), _HEIGHT))
     shell = cad.difference(
         cad.extrude(cad.rounded_rect(*outer, _CORNER), WALL + height, _HEIGHT),
         cad.box((width, depth, 2 * height), z=top),
     )
-    return joinery.table(
+    return table(
         kind,
         top,
         Rectangle((0.0, 0.0), (width / 2, depth / 2)),
         [
-            joinery.slab((*table, _HEIGHT), (0, 0), 0.0),
-            joinery.slab((width, depth, WALL), (0, 0), _HEIGHT),
+            slab((*under, _HEIGHT), (0, 0), 0.0),
+            slab((width, depth, WALL), (0, 0), _HEIGHT),
             *walls,
         ],
-        [(cad.box((*table, _HEIGHT)), wood), (shell, color)],
+        [(cad.box((*under, _HEIGHT)), wood), (shell, color)],
         f"{kind} on a table",
     )
 

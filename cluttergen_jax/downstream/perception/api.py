@@ -6,15 +6,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.config import (
-    MAX_VIEWS,
-    Method,
-    SegmenterInput,
-    Split,
-    check_noise,
-    check_range,
-    check_workers,
-)
+from cluttergen_jax.config import MAX_VIEWS, Method, Split, check_range, check_workers
+from cluttergen_jax.downstream.words import SegmenterInput, check_noise
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
 from cluttergen_jax.kept_folder import hold_folder

@@ -7,19 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.config import (
+from cluttergen_jax.config import PILE, Method, Split, check_range, check_workers
+from cluttergen_jax.downstream.words import (
     MAX_PAIRS,
-    PILE,
-    Method,
     PlacerHead,
-    PlacerLoss,
     PlacerNoise,
-    PlacerPreset,
     SensedFrom,
-    Split,
     check_noise,
-    check_range,
-    check_workers,
 )
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.files import check_folder
@@ -214,14 +208,11 @@ def placer_train(
     head: PlacerHead = "scored",
     out: str | Path | None = None,
     *,
-    preset: PlacerPreset = "cpu",
     noise: PlacerNoise = "both",
     num_pairs: int | None = None,
     num_epochs: int | None = None,
     batch_size: int | None = None,
     learning_rate: float | None = None,
-    loss: PlacerLoss = "printed",
-    encoder_weights: str | Path | None = None,
     seed: int = 0,
     show: Callable[[str], None] = print,
 ) -> Path:
@@ -230,17 +221,13 @@ def placer_train(
     Args:
       data: a folder of `placer data`, or several; one network learns from all. Validated on the split `val`
         where there is one, else on every tenth scene of the training split.
-      head: "scored" (candidates, each with the probability that it is stable), "mixture" (a distribution
-        over cells and turns of the region) or "regression" (the paper's: one pose).
+      head: "scored": candidates, each with the probability that it is stable.
       out: the run's folder; runs/placer-HEAD-SEED if not given.
-      preset: "cpu", or of "regression" also "paper": as printed, for a GPU.
       noise: of the camera: "on", "off", or "both": every other pair is seen with noise.
       num_pairs: of each folder the first so many; all if not given.
-      num_epochs: times that every pair is seen; the preset's if not given.
-      batch_size: pairs per step; the preset's if not given.
-      learning_rate: of the optimiser, at its highest; the preset's if not given.
-      loss: of "regression": "printed", or "symmetric", for which a whole turn makes no difference.
-      encoder_weights: of "regression": folder of `pretrain` that both encoders begin with.
+      num_epochs: times that every pair is seen; 12 if not given.
+      batch_size: pairs per step; 32 if not given.
+      learning_rate: of the optimiser, at its highest; 0.002 if not given.
       seed: of weights, order and noise, 0 to 4294967295.
       show: is given the lines that tell how far the run is.
 
@@ -250,21 +237,19 @@ def placer_train(
     Raises:
       ConfigError: a setting is out of range, there are no pairs, or the folder holds another run.
       BankError: a folder holds no pairs, or damaged ones; or another process writes to `out`.
-      PoolError: `encoder_weights` does not hold what the encoders need.
       KeyboardInterrupt: on Ctrl-C, once everything is saved.
     """
+    from cluttergen_jax.downstream.fitting import FitConfig
     from cluttergen_jax.downstream.placer.examples import ExampleSource
-    from cluttergen_jax.downstream.placer.training import PlacerTraining
-    from cluttergen_jax.downstream.placer.training import preset as preset_of
+    from cluttergen_jax.downstream.placer.training import PlacerTraining, head_of_name
     from cluttergen_jax.learning.ppo.checkpoint import hold_run
 
     check_range("seed", seed, 0, 2**32 - 1, 0)
     if num_pairs is not None:
         check_range("num_pairs", num_pairs, 1, MAX_PAIRS, 5000)
     folders = (data,) if isinstance(data, str | Path) else tuple(data)
-    weights = None if encoder_weights is None else Path(encoder_weights)
-    found, config = preset_of(head, preset, loss, weights)
-    config = config.replace_given(num_epochs, batch_size, learning_rate, seed)
+    found = head_of_name(head)
+    config = FitConfig().replace_given(num_epochs, batch_size, learning_rate, seed)
     folder = Path(out or f"runs/placer-{head}-{seed}")
     with hold_run(folder):
         source = ExampleSource(tuple(Path(each) for each in folders), noise, seed, num_pairs)

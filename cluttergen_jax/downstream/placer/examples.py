@@ -11,7 +11,6 @@ from typing import Literal
 import jax
 import numpy as np
 
-from cluttergen_jax.config import PlacerNoise
 from cluttergen_jax.downstream.digests import json_digest
 from cluttergen_jax.downstream.placer.pairs.store import (
     PairFilter,
@@ -22,6 +21,7 @@ from cluttergen_jax.downstream.placer.pairs.store import (
     read_pairs,
 )
 from cluttergen_jax.downstream.placer.query import Example, PlacementQuery, pad_map
+from cluttergen_jax.downstream.words import PlacerNoise
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.search import UnderSide
 from cluttergen_jax.sensing import NOISE_OFF, REALSENSE

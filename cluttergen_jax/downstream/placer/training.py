@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, replace
+from collections.abc import Callable
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Any
 
 import jax
 import numpy as np
 
-from cluttergen_jax.config import PlacerLoss
 from cluttergen_jax.downstream.fitting import (
     FitConfig,
     FitRun,
@@ -21,69 +20,25 @@ from cluttergen_jax.downstream.fitting import (
     num_examples,
 )
 from cluttergen_jax.downstream.placer.examples import ExampleSource
-from cluttergen_jax.downstream.placer.heads.checkpoint import KIND, Head
-from cluttergen_jax.downstream.placer.heads.mixture import MixtureHead
-from cluttergen_jax.downstream.placer.heads.regression import RegressionConfig, RegressionHead
-from cluttergen_jax.downstream.placer.heads.scored import ScoredHead
-from cluttergen_jax.downstream.placer.query import NUM_OBJECT_POINTS, NUM_POINTS
+from cluttergen_jax.downstream.placer.heads.checkpoint import HEADS, KIND, REMOVED_HEADS, Head
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.learning.training.stability import Calibration, calibration, draw_calibration
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.types import Verdict
 
-_REGRESSION_CPU = FitConfig(
-    num_epochs=60, batch_size=40, learning_rate=1e-3, schedule="linear", weight_decay=0.0
-)
-_PRESETS: Mapping[tuple[str, str], tuple[Head, FitConfig]] = {
-    ("scored", "cpu"): (ScoredHead(), FitConfig()),
-    ("mixture", "cpu"): (MixtureHead(), FitConfig(num_epochs=20)),
-    ("regression", "cpu"): (RegressionHead(), _REGRESSION_CPU),
-    # As the published code has it: one group of all points, 1,024 features of either cloud.
-    ("regression", "paper"): (
-        RegressionHead(
-            RegressionConfig(
-                features=1024, scene_points=NUM_POINTS, object_points=NUM_OBJECT_POINTS
-            )
-        ),
-        replace(_REGRESSION_CPU, num_epochs=1000),
-    ),
-}
 
-
-def preset(head: str, name: str, loss: str, encoder_weights: Path | None) -> tuple[Head, FitConfig]:
-    """The head and how it is fitted.
-
-    Args:
-      name: of the preset.
-      loss, encoder_weights: of `regression` alone.
+def head_of_name(head: str) -> Head:
+    """The untrained head of that name, of the usual sizes.
 
     Raises:
-      ConfigError: there is no such head or preset, or an option is not the head's.
+      ConfigError: there is no such head.
     """
-    known = {of: [each for own, each in _PRESETS if own == of] for of, _ in _PRESETS}
-    if head not in known:
-        raise ConfigError(f"head {head!r}", ", ".join(known), "head='scored'", closest(head, known))
-    if name not in known[head]:
-        given = f"preset {name!r} of head {head!r}"
-        allowed = known[head]
-        raise ConfigError(
-            given, ", ".join(allowed), f"preset={allowed[0]!r}", closest(name, allowed)
-        )
-    if loss not in get_args(PlacerLoss):
-        raise ConfigError(f"loss = {loss!r}", "'printed' or 'symmetric'", "loss='printed'")
-    found, config = _PRESETS[head, name]
-    if isinstance(found, RegressionHead):
-        return RegressionHead(
-            replace(found.config, loss=cast(PlacerLoss, loss)), encoder_weights
-        ), config
-    if loss != "printed" or encoder_weights is not None:
-        given = (
-            f"loss = {loss!r}" if loss != "printed" else f"`encoder_weights` = {encoder_weights}"
-        )
-        raise ConfigError(
-            f"{given} with head {head!r}", "neither: they are of 'regression'", "leaving it out"
-        )
-    return found, config
+    if head in REMOVED_HEADS:
+        given = f"head {head!r}, which was removed after version 0.1.0"
+        raise ConfigError(given, ", ".join(HEADS), "head='scored'")
+    if head not in HEADS:
+        raise ConfigError(f"head {head!r}", ", ".join(HEADS), "head='scored'", closest(head, HEADS))
+    return HEADS[head][0]()
 
 
 _TEMPERATURES = np.exp(np.linspace(np.log(0.25), np.log(4.0), 129))
@@ -131,7 +86,8 @@ class PlacerTraining(FitRun):
         recipe = {
             "head": head.kind,
             "data": source.record,
-            "encoder_weights": str(getattr(head, "encoder_weights", None) or ""),
+            # Runs of version 0.1.0, whose other heads had some, go on.
+            "encoder_weights": "",
         }
         super().__init__(head, config, recipe, folder, show)
 

@@ -7,16 +7,14 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.config import (
-    FilmFormat,
+from cluttergen_jax.config import FilmFormat, check_range, check_workers
+from cluttergen_jax.downstream.words import (
     LayoutRule,
     PickOrder,
     Rearrangement,
     RecordFormat,
     RobotObserver,
     check_noise,
-    check_range,
-    check_workers,
 )
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder

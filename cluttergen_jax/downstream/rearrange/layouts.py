@@ -15,7 +15,7 @@ from scipy.spatial.distance import cdist
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.config import LayoutRule, Method
+from cluttergen_jax.config import Method
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.grasping.grips import rank_grasps
@@ -24,6 +24,7 @@ from cluttergen_jax.downstream.robot.motion.collision import ROOM as HAND_ROOM
 from cluttergen_jax.downstream.robot.motion.collision import Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.transforms import matrix_of
+from cluttergen_jax.downstream.words import LayoutRule
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.measures.diversity import embed, scene_distances
 from cluttergen_jax.generation import make_sampler

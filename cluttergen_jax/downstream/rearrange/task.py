@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.config import LayoutRule, Method, PickOrder
+from cluttergen_jax.config import Method
 from cluttergen_jax.downstream.rearrange.layouts import AREA, Layouts, SceneDraw
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.outcome import Ending
 from cluttergen_jax.downstream.robot.protocols import PathPlanner
+from cluttergen_jax.downstream.words import LayoutRule, PickOrder
 from cluttergen_jax.scene import Scene
 
 _NEAR = Rectangle((0.0, -0.15), (0.225, 0.125))

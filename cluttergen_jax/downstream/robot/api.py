@@ -7,16 +7,8 @@ from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.config import (
-    MAX_NOISE,
-    FilmFormat,
-    Method,
-    RecordFormat,
-    RobotTask,
-    check_names,
-    check_range,
-    check_workers,
-)
+from cluttergen_jax.config import FilmFormat, Method, check_names, check_range, check_workers
+from cluttergen_jax.downstream.words import MAX_NOISE, RecordFormat, RobotTask
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_file, check_folder
 from cluttergen_jax.kept_folder import hold_file

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar, get_args
 
-from cluttergen_jax.config import RecordFormat
 from cluttergen_jax.downstream.robot.lerobot_folder import LeRobotFolder
 from cluttergen_jax.downstream.robot.model import TIMESTEP
 from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.outcome import EpisodeRow
 from cluttergen_jax.downstream.robot.recording import FPS, RecordCameras, Recording
 from cluttergen_jax.downstream.robot.robomimic_folder import RobomimicFolder
+from cluttergen_jax.downstream.words import RecordFormat
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.files import check_folder
 from cluttergen_jax.progress import Progress

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cluttergen_jax.config import FilmFormat, RobotTask
+from cluttergen_jax.config import FilmFormat
 from cluttergen_jax.downstream.digests import constants_hash
 from cluttergen_jax.downstream.parts import part_label
 from cluttergen_jax.downstream.robot import cameras, episode, gripper, model, sensing_arm
@@ -41,6 +41,7 @@ from cluttergen_jax.downstream.robot.places import CameraPlacer
 from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
 from cluttergen_jax.downstream.robot.recorder import RecordAsked, open_recorder
 from cluttergen_jax.downstream.rows import RowFile
+from cluttergen_jax.downstream.words import RobotTask
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.geometry import rotation_matrix

@@ -7,12 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from cluttergen_jax.config import MAX_PAIRS, PlacerHead, PlacerNoise, SensedFrom, check_range
+from cluttergen_jax.config import check_range
+from cluttergen_jax.downstream.fitting import FitConfig
 from cluttergen_jax.downstream.placer.api import placer_data
 from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerTrials
 from cluttergen_jax.downstream.placer.examples import ExampleSource
 from cluttergen_jax.downstream.placer.pairs.store import PairSet
-from cluttergen_jax.downstream.placer.training import PlacerTraining, preset
+from cluttergen_jax.downstream.placer.training import PlacerTraining, head_of_name
+from cluttergen_jax.downstream.words import MAX_PAIRS, PlacerHead, PlacerNoise, SensedFrom
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.studies.study import Findings, Scale
@@ -193,16 +195,15 @@ class SuiteFolder:
         num_pairs: int | None = None,
         noise: PlacerNoise = "both",
         held_out: Literal["scenes", "pairs"] = "scenes",
-        encoder_weights: Path | None = None,
         num_epochs: int | None = None,
     ) -> dict[int, Path]:
         """Placers by training seed, `runs/NAME-SEED`: as `placer_train` makes them, from disk or now."""
         sets = (pairs,) if isinstance(pairs, PairSet) else tuple(pairs)
         runs = {}
         for seed in self.scale.training_seeds:
-            found, config = preset(head, "cpu", "printed", encoder_weights)
+            found = head_of_name(head)
             epochs = _QUICK_EPOCHS if self.scale.quick else num_epochs
-            config = config.replace_given(num_epochs=epochs, seed=seed)
+            config = FitConfig().replace_given(num_epochs=epochs, seed=seed)
             source = ExampleSource(
                 tuple(each.path for each in sets), noise, seed, num_pairs, held_out
             )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +18,6 @@ from cluttergen_jax.downstream.placer.evaluation.tables import (
 )
 from cluttergen_jax.downstream.placer.examples import TESTING
 from cluttergen_jax.downstream.placer.heads.checkpoint import embedded_placers
-from cluttergen_jax.downstream.placer.heads.regression import RegressionConfig
 from cluttergen_jax.downstream.studies.study import (
     HOUSEHOLD,
     NUM_OBJECTS,
@@ -31,7 +29,6 @@ from cluttergen_jax.downstream.studies.study import (
     SuiteFolder,
 )
 from cluttergen_jax.evaluation.studies.study import Study
-from cluttergen_jax.learning.training.pretrain import PretrainConfig, Pretraining, small
 from cluttergen_jax.statistics import wilson
 from cluttergen_jax.tables import Table
 
@@ -162,11 +159,11 @@ _SIZE_NOTES = (
 
 
 def _sizes(scale: DownstreamScale) -> list[tuple[str, int]]:
-    """The heads `scored` and `mixture` by size; more pairs than the scale allows are left out."""
+    """The head `scored` by size; more pairs than the scale allows are left out."""
     sizes = [size for size in SIZES if size <= (scale.most_pairs or size)] or [
         scale.pairs(SIZES[0])
     ]
-    heads = scale.heads_or(*("scored", "mixture")[: 1 if scale.quick else None])
+    heads = scale.heads_or("scored")
     return [(head, size) for head in heads for size in sizes]
 
 
@@ -319,56 +316,6 @@ TRANSFER = Study(
     measure=_compare_transfer,
 )
 
-# The paper's network from scratch, and with encoders that know shapes already.
-
-_PRETRAINED_NOTES = (
-    "pretrained: both encoders begin with weights of `cluttergen pretrain --encoder pointnet "
-    "--features 256`, which tell the modeller's 50 families apart, and are trained along",
-    "random: no placer, it looks at nothing; for comparison",
-)
-
-
-def _compare_encoders(suite: SuiteFolder, names: Sequence[str], stem: Path) -> Found:
-    """The head `regression`, preset `cpu`, on the same pairs."""
-    pairs = suite.household()
-    size = suite.scale.pairs(5000)
-    variants = []
-    for name in names:
-        weights = _encoder(suite) if name == "pretrained" else None
-        folder = f"{name.replace(' ', '-')}-{size}"
-        runs = suite.train(folder, pairs, "regression", size, encoder_weights=weights)
-        variants.append(Variant({"encoders": name, "pairs": f"{size:,}"}, runs))
-    variants.append(Variant({"encoders": "random", "pairs": "-"}, "random"))
-    return _compare(suite, variants, ", head regression", _PRETRAINED_NOTES)
-
-
-def _encoder(suite: SuiteFolder) -> Path:
-    """Weights of an encoder of the head's sizes."""
-    sizes = RegressionConfig()
-    network = replace(
-        small(sizes.encoder),
-        object_features=sizes.features,
-        scene_features=sizes.features,
-        object_points=sizes.object_points,
-        num_centroids=sizes.num_centroids,
-        group_size=sizes.group_size,
-    )
-    config = PretrainConfig(network)
-    if suite.scale.quick:
-        config = replace(config, num_shapes=1, num_held_out=1, num_epochs=1)
-    folder = suite.folder / "runs" / f"encoder-{sizes.encoder}"
-    Pretraining(config, folder).run()
-    return folder
-
-
-PRETRAINED = Study(
-    "pretrained",
-    "The paper's network with encoders that know shapes",
-    1,
-    lambda scale: ("from scratch", "pretrained"),
-    measure=_compare_encoders,
-)
-
 # Placers measured as the paper measures, beside what the same proposals are worth.
 
 _PROTOCOL_NOTES = (
@@ -428,6 +375,6 @@ PROTOCOL = Study(
     "protocol",
     "The paper's own protocol, and what it hides",
     1,
-    lambda scale: scale.heads_or("regression", "mixture", "scored"),
+    lambda scale: scale.heads_or("scored"),
     measure=_compare_protocols,
 )

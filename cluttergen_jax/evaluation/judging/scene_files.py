@@ -16,7 +16,7 @@ from cluttergen_jax.errors import AssetError, ConfigError
 from cluttergen_jax.evaluation.judging.sdf_scene import read_sdf_world
 from cluttergen_jax.evaluation.judging.usd_scene import read_usd
 from cluttergen_jax.importing.limited import call_limited
-from cluttergen_jax.importing.readers.mjcf import compile_with_notes
+from cluttergen_jax.importing.readers.mjcf_compile import compile_with_notes
 from cluttergen_jax.importing.readers.opening import check_openable
 from cluttergen_jax.importing.readers.xml_tree import parse_xml, plain_tag
 

@@ -12,10 +12,9 @@ import numpy as np
 import trimesh
 
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.links import Link, Look, Surfaces
+from cluttergen_jax.importing.readers.links import Link, SurfaceLook, Surfaces
 from cluttergen_jax.importing.readers.model import convex_parts
-from cluttergen_jax.importing.readers.sdf import axis_of, placed_links
-from cluttergen_jax.importing.readers.sdf_includes import read_sdf_tree
+from cluttergen_jax.importing.readers.sdf import axis_of, placed_links, read_sdf_tree
 from cluttergen_jax.importing.readers.xml_tree import Element, length, number, numbers
 
 _GEOM = mujoco.mjtGeom
@@ -300,7 +299,7 @@ class _Model:
         if form.tag == "empty":
             return
         if form.tag == "mesh":
-            pieces = Surfaces(path, 16, "uri", _FORMS).pieces(element, place, 1.0, Look())
+            pieces = Surfaces(path, 16, "uri", _FORMS).pieces(element, place, 1.0, SurfaceLook())
             for index, piece in enumerate(pieces):
                 if convex_parts([piece.mesh]) is None:
                     allowed = "meshes that are convex, and other shapes"

@@ -23,8 +23,8 @@ import mujoco
 import numpy as np
 from scipy.spatial import cKDTree
 
+from cluttergen_jax.assets.hollow import hollow_of
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.quality.hollow import hollow_of
 from cluttergen_jax.evaluation.measures.contacts import Contacts, contacts_of
 from cluttergen_jax.evaluation.measures.scene_models import SceneModel, SceneModels
 from cluttergen_jax.evaluation.measures.simulate import each_scene
@@ -202,7 +202,7 @@ class Hollow:
 def vessel_of(asset: ObjectAsset) -> Hollow | None:
     """An object's hollow, or None if it has none.
 
-    By the importer's rule (`assets.quality.hollow`): as deep as 15 mm and a fifth of its width, and open to
+    By the importer's rule (`assets.hollow`): as deep as 15 mm and a fifth of its width, and open to
     a ball of 10 mm. A plate is no vessel.
     """
     hollow = hollow_of(asset)

@@ -42,7 +42,7 @@ IMPORTED = "paper_"
 
 CLUTTERGEN = "beta_free"
 """The paper's own method."""
-TWINS = dict.fromkeys((CLUTTERGEN, "beta", "policy"), CLUTTERGEN)
+TWINS = dict.fromkeys((CLUTTERGEN, "policy"), CLUTTERGEN)
 """Methods that stand where the paper has its own: with its head, and with others."""
 
 OBJECTS = 10

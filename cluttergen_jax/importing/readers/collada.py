@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.colours import LEFT_OUT, vary
+from cluttergen_jax.importing.readers.materials import LEFT_OUT, vary
 from cluttergen_jax.importing.readers.polygons import CROSSING, cut_with_holes, cuts
 from cluttergen_jax.importing.readers.xml_tree import (
     BROKEN,

@@ -8,12 +8,11 @@ import re
 import struct
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
 
 import numpy as np
 
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.gltf_file import DTYPES, WIDTHS, Json
+from cluttergen_jax.importing.readers.gltf import DTYPES, WIDTHS, Json, buffer_file
 from cluttergen_jax.importing.readers.xml_tree import parse_numbers, parse_xml, plain_tag
 
 _HEAD = 84
@@ -61,10 +60,7 @@ def num_triangles(data: bytes, count: int) -> int | None:
 def sound_stl(data: bytes) -> tuple[bytes, tuple[str, ...]]:
     """A binary file with a true count and nothing after its triangles, and what was wrong with it."""
     count = announced_count(data)
-    number = (
-        None if is_text_stl(data, len(data)) or len(data) < _HEAD else num_triangles(data, count)
-    )
-    if number is None:
+    if is_text_stl(data, len(data)) or (number := num_triangles(data, count)) is None:
         return data, ()
     end = _HEAD + _RECORD.itemsize * number
     notes = []
@@ -74,11 +70,9 @@ def sound_stl(data: bytes) -> tuple[bytes, tuple[str, ...]]:
         )
     if rest := len(data) - end:
         notes.append(f"{rest:,} bytes after its last triangle are left out")
-    return (
-        (data[:80] + number.to_bytes(4, "little") + data[_HEAD:end], tuple(notes))
-        if notes
-        else (data, ())
-    )
+    if notes:
+        data = data[:80] + number.to_bytes(4, "little") + data[_HEAD:end]
+    return data, tuple(notes)
 
 
 def _is_closed_surface(data: bytes, number: int) -> bool:
@@ -170,6 +164,8 @@ def check_whole(path: Path) -> None:
 def unreadable(path: Path, error: Exception) -> AssetError:
     """What to raise where a parser failed with `error`; a parser's slip says nothing to a user."""
     reason = _obj_fault(path) if path.suffix.lower() == ".obj" else ""
+    if str(error) == "PLY is unexpected length!":
+        return ply_of_polygons(path)
     if not reason:
         is_slip = isinstance(
             error, LookupError | AttributeError | TypeError | NameError | AssertionError
@@ -178,6 +174,15 @@ def unreadable(path: Path, error: Exception) -> AssetError:
         said = re.sub(r"^(\w+Error: )+", "", " ".join(str(error).split())).rstrip(".!")
         reason = slip if is_slip else said or slip
     return AssetError(f"{path} cannot be read as a mesh: {reason}", "a whole file", _AGAIN)
+
+
+def ply_of_polygons(path: Path) -> AssetError:
+    """What to raise of a binary PLY file that does not hold what equal faces would take."""
+    return AssetError(
+        f"{path} cannot be read as a mesh: it is cut short, or its faces differ in their number of corners",
+        "a whole file; in a binary one all faces have as many corners",
+        "exporting it again with triangulated faces, or as text",
+    )
 
 
 def _check_obj(path: Path) -> None:
@@ -323,10 +328,7 @@ def _buffer_size(path: Path, uri: str | None, binary: int) -> int:
         return binary
     if uri.startswith("data:"):
         return len(uri.partition(",")[2]) * 3 // 4
-    for name in (uri, unquote(uri)):
-        if (file := path.parent / name).is_file():
-            return file.stat().st_size
-    raise AssetError(f"{path} names buffer {uri!r}, which is not there", hint="restoring the file")
+    return buffer_file(path, uri).stat().st_size
 
 
 def _check_stl(path: Path) -> None:
@@ -368,12 +370,8 @@ def _check_ply(path: Path) -> None:
         raise _too_short(path, "what its header announces", needed, size - len(text))
     head, _, body = path.read_bytes().partition(b"end_header")
     promised = sum(int(number) for number in _PLY_COUNT.findall(head))
-    held = (
-        sum(bool(line.strip()) for line in body.splitlines())
-        if b"format ascii" in head
-        else promised
-    )
-    if held < promised:
+    held = sum(bool(line.strip()) for line in body.splitlines())
+    if b"format ascii" in head and held < promised:
         raise AssetError(
             f"{path} is cut short: its head promises {promised:,} vertices and faces, it has {held:,}",
             hint=_AGAIN,

@@ -19,7 +19,7 @@ from cluttergen_jax.importing.readers import primitives
 from cluttergen_jax.importing.readers.materials import GREY, Rgba
 from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
 from cluttergen_jax.importing.readers.model import Model, convex_parts
-from cluttergen_jax.importing.readers.places import is_found_elsewhere, mesh_place
+from cluttergen_jax.importing.readers.opening import is_found_elsewhere, mesh_place
 from cluttergen_jax.importing.readers.xml_tree import (
     Element,
     all_numbers,
@@ -36,13 +36,16 @@ _ENDLESS = ("plane", "empty")
 
 
 @dataclass(frozen=True)
-class Look:
-    """What a file says of a surface's looks."""
+class SurfaceLook:
+    """What a file says of a surface's looks.
 
-    colour: Rgba = GREY  # For what has none of its own; grey where the file says nothing.
-    texture: Texture | None = (
-        None  # For meshes that have texture coordinates and no image of their own.
-    )
+    Attributes:
+      colour: for what has none of its own; grey where the file says nothing.
+      texture: for meshes that have texture coordinates and no image of their own.
+    """
+
+    colour: Rgba = GREY
+    texture: Texture | None = None
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,9 @@ class Surfaces:
     notes: list[str] = field(default_factory=list)
     _files: dict[tuple[Path, Texture | None], list[Piece]] = field(default_factory=dict)
 
-    def pieces(self, element: Element, pose: np.ndarray, scale: float, look: Look) -> list[Piece]:
+    def pieces(
+        self, element: Element, pose: np.ndarray, scale: float, look: SurfaceLook
+    ) -> list[Piece]:
         """The pieces of a <visual> or <collision>, in the model's frame.
 
         Args:
@@ -170,8 +175,9 @@ class Surfaces:
                 f"for {name!r}, which is not there, {file.name} is taken from {file.parent.name}/"
             )
         if (file, texture) not in self._files:
-            self._files[file, texture], notes = read_mesh_file(file, self.max_side, texture)
-            self.notes.extend(notes)
+            found = read_mesh_file(file, self.max_side, texture)
+            self._files[file, texture] = found.pieces
+            self.notes.extend(found.notes)
         factors = np.diag(self._scale(form))
         is_mirrored = np.linalg.det(factors) < 0
         out = []
@@ -218,7 +224,7 @@ class Link:
 def rigid(
     links: Sequence[Link],
     surfaces: Surfaces,
-    look: Callable[[Element], Look],
+    look: Callable[[Element], SurfaceLook],
     notes: Sequence[str] = (),
     scale: float = 1.0,
 ) -> Model:
@@ -232,15 +238,13 @@ def rigid(
     Raises:
       AssetError: there is no geometry, or something cannot be read; the message names it.
     """
-    seen, solid = (
-        [
-            (piece, number)
-            for number, link in enumerate(links)
-            for element in link.element.findall(tag)
-            for piece in surfaces.pieces(element, link.place(element), scale, look(element))
-        ]
-        for tag in ("visual", "collision")
-    )
+    made: dict[str, list[tuple[Piece, int]]] = {"visual": [], "collision": []}
+    for tag, found in made.items():
+        for place, link in enumerate(links):
+            for element in link.element.findall(tag):
+                pieces = surfaces.pieces(element, link.place(element), scale, look(element))
+                found += [(piece, place) for piece in pieces]
+    seen, solid = made.values()
     visuals, collisions = ([piece for piece, _ in each] for each in (seen, solid))
     if not visuals and not collisions:
         raise AssetError(f"{surfaces.path} has neither visual nor collision geometry")
@@ -323,15 +327,11 @@ def _density(path: Path, links: Sequence[Link]) -> float | None:
     Raises:
       AssetError: they say different things.
     """
-    parents = [
-        each
-        for link in links
-        for tag in ("inertial", "collision")
-        for each in link.element.findall(tag)
-    ]
-    said_of = {
-        length(path, *_holder(each, child)) for each in parents for child in each.findall("density")
-    }
+    said_of = set()
+    for link in links:
+        for parent in (*link.element.findall("inertial"), *link.element.findall("collision")):
+            for child in parent.findall("density"):
+                said_of.add(length(path, *_holder(parent, child)))
     if len(said_of) > 1:
         raise AssetError(
             f"{path}: links of the densities {sorted(said_of)}",

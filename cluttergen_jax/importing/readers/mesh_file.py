@@ -1,28 +1,203 @@
-"""Mesh files: OBJ, STL, PLY, GLB, GLTF and DAE, through trimesh."""
+"""Mesh files: OBJ, STL, PLY, GLB, GLTF and DAE, through trimesh, which gets their text in UTF-8.
+
+Old exporters write comments and material names in Latin-1. trimesh guesses the encoding with a library that
+may be missing, from the first thousand bytes, and drops what it cannot decode, so that a material of the OBJ
+file may no longer be found in the MTL file.
+"""
 
 from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import trimesh
+from PIL import Image
 
 from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.collada import collada_notes, collada_polygons, unit_of
-from cluttergen_jax.importing.readers.colours import coloured_by_vertices
-from cluttergen_jax.importing.readers.damage import check_whole, sound_stl, unreadable
-from cluttergen_jax.importing.readers.materials import Dresser, gltf_notes
-from cluttergen_jax.importing.readers.mesh_text import Companions, mesh_input
-from cluttergen_jax.importing.readers.opening import check_openable
-from cluttergen_jax.importing.readers.polygons import cut_obj, cut_ply
+from cluttergen_jax.files import MOST_WORDS
+from cluttergen_jax.importing.readers.collada import (
+    collada_notes,
+    collada_polygons,
+    plain_collada,
+    unit_of,
+)
+from cluttergen_jax.importing.readers.damage import (
+    check_whole,
+    is_text_stl,
+    ply_of_polygons,
+    sound_stl,
+    unreadable,
+)
+from cluttergen_jax.importing.readers.gltf import plain_glb
+from cluttergen_jax.importing.readers.materials import Dresser, coloured_by_vertices, gltf_notes
+from cluttergen_jax.importing.readers.opening import (
+    OPTIONS,
+    as_utf8,
+    check_openable,
+    find_named,
+    read_file,
+)
+from cluttergen_jax.importing.readers.polygons import cut_obj
+
+_END_OF_HEADER = b"end_header"
+_OLD_COLOUR = re.compile(rb"(?<=[ \t])diffuse_(red|green|blue)\b")
+"""What early PLY files call their colours."""
+_WORD_AND_TAB = re.compile(rb"^[ \t]*([a-z]+)[ ]*\t[ \t]*", re.MULTILINE)
+ALL_MATERIALS = "*.mtl"
+"""What an OBJ file's text calls all its material files together: trimesh asks for one."""
+
+_MTLLIB = re.compile(rb"mtllib[ \t]++([^\n]++)$", re.MULTILINE)
+_REMARK = re.compile(rb"(?<=[ \t])#.*", re.DOTALL)
+
+
+class MeshInput(NamedTuple):
+    """A mesh file as `trimesh.load_scene` takes it: its content and suffix, or its path."""
+
+    file_obj: io.BytesIO | str
+    file_type: str | None = None
+
+
+def mesh_input(path: Path) -> MeshInput:
+    """A mesh file in a form that trimesh understands."""
+    suffix = path.suffix.lower()
+    if suffix in (".glb", ".gltf") and (plain := plain_glb(path)) is not None:
+        return MeshInput(io.BytesIO(plain), "glb")
+    if suffix == ".dae" and (named := plain_collada(path)) is not None:
+        return MeshInput(io.BytesIO(named), "dae")
+    if suffix not in (".obj", ".ply", ".stl"):
+        return MeshInput(str(path))
+    data = read_file(path)
+    if suffix == ".ply":
+        head, end, body = data.partition(_END_OF_HEADER)
+        data = (_OLD_COLOUR.sub(rb"\1", as_utf8(head)) if end else head) + end + body
+    elif suffix == ".obj":
+        data = _plain_obj(as_utf8(data))
+    elif is_text_stl(data, len(data)):
+        data = as_utf8(data)
+    return MeshInput(io.BytesIO(data), suffix[1:])
+
+
+def material_lines(data: bytes) -> list[str]:
+    """What the `mtllib` lines of an OBJ text name: each one file, or several with spaces between them."""
+    lines = [
+        found[1]
+        for found in _MTLLIB.finditer(data)
+        if not data[data.rfind(b"\n", 0, found.start()) + 1 : found.start()].strip(b" \t")
+    ]
+    named = (_REMARK.sub(b"", line, count=1).strip(b" \t\r") for line in lines)
+    return [name.decode() for name in dict.fromkeys(named) if name]
+
+
+def _plain_obj(data: bytes) -> bytes:
+    """An OBJ text as trimesh follows it: spaces behind keywords, and one `mtllib` line, the first."""
+    if b"\t" in data:
+        data = _WORD_AND_TAB.sub(rb"\1 ", data)
+    return f"mtllib {ALL_MATERIALS}\n".encode() + data if material_lines(data) else data
+
+
+_NAMED = {
+    ".mtl": rb"^[ \t]*+map_[Kk][Dd][ \t]++([^\n]++)$",
+    ".gltf": rb'"uri"\s*:\s*"([^"]{1,1000})"',
+    ".dae": rb"<init_from>([^<]++)</init_from>",
+}
+_USED, _DEFINED = (
+    re.compile(rb"^[ \t]*+%s[ \t]++([^\n]++)$" % word, re.MULTILINE)
+    for word in (b"usemtl", b"newmtl")
+)
+_ONE_NUMBER = re.compile(rb"^([ \t]*Kd)[ \t]+([-+.\deE]+)(?=[ \t\r]*$)", re.MULTILINE)
+
+
+def companions(path: Path) -> Iterator[Path]:
+    """The files that a mesh file names, and that its materials name, as far as they are there."""
+    suffix = path.suffix.lower()
+    if suffix == ".obj":
+        for _, found in _material_files(path):
+            if found is not None:
+                yield found
+                yield from companions(found) if found.suffix.lower() == ".mtl" else ()
+    elif pattern := _NAMED.get(suffix):
+        for name in re.findall(pattern, as_utf8(read_file(path)), re.MULTILINE):
+            if (found := find_named(path.parent, name.strip().decode())) is not None:
+                yield found
+
+
+def _names(pattern: re.Pattern[bytes], text: bytes) -> list[bytes]:
+    return [name.strip() for name in pattern.findall(text)]
+
+
+def _material_files(obj: Path) -> Iterator[tuple[str, Path | None]]:
+    """The material files of an OBJ file by name, None where one is not there.
+
+    A line names one file, whose name may hold spaces; or if that is not there, several.
+    """
+    for line in material_lines(as_utf8(read_file(obj))):
+        names = [line] if find_named(obj.parent, line) else line.split()
+        yield from ((name, find_named(obj.parent, name)) for name in names)
+
+
+class Companions(trimesh.resolvers.FilePathResolver):
+    """Hands a mesh file's companions to trimesh, and remembers what could not be read.
+
+    Attributes:
+      notes: that in words.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(str(path))
+        self._path = path
+        self.notes: list[str] = []
+
+    def get(self, name: str) -> bytes:
+        """The content of the file that is called so."""
+        if name == ALL_MATERIALS:
+            return self._materials()
+        found = find_named(self._path.parent, str(name))
+        if found is None:
+            self._miss(str(name))
+            raise FileNotFoundError(name)
+        if OPTIONS.match(str(name).strip()):
+            self.notes.append(f"the options of an image are ignored ({str(name).strip()})")
+        data = read_file(found)
+        if found.suffix.lower() != ".bin":
+            try:
+                Image.open(io.BytesIO(data))
+            except Exception as error:  # Pillow's decoders raise whatever they do.
+                reason = re.sub(r" <_io.*?>", "", str(error)) or type(error).__name__
+                self.notes.append(f"{found.name} cannot be read as an image ({reason})")
+                raise
+        return data
+
+    def _materials(self) -> bytes:
+        """The content of all material files of an OBJ file."""
+        texts = []
+        for name, found in _material_files(self._path):
+            if found is None:
+                self._miss(name)
+            else:
+                texts.append(as_utf8(read_file(found, MOST_WORDS)))
+        text = b"\n".join(texts)
+        if texts:
+            used = dict.fromkeys(_names(_USED, as_utf8(self._path.read_bytes())))
+            defined = set(_names(_DEFINED, text))
+            lost = [name.decode() for name in used if name not in defined]
+            self.notes += [
+                f"{self._path.name} names material {name!r}, which is nowhere defined"
+                for name in lost
+            ]
+        # Of a colour with one number the others are equal to it.
+        return _ONE_NUMBER.sub(rb"\1 \2 \2 \2", text)
+
+    def _miss(self, name: str) -> None:
+        self.notes.append(f"{self._path.name} names {name!r}, which is not there")
+
 
 _RANDOM = re.compile(r"_[0-9a-f]{6}$")
 """What trimesh puts behind a node's name where several surfaces hang on it, another each time."""
@@ -36,45 +211,33 @@ def _mend_obj(data: bytes) -> tuple[bytes, tuple[str, ...]]:
 
 _MENDS: dict[str, Callable[[bytes], tuple[bytes, tuple[str, ...]]]] = {
     ".obj": _mend_obj,
-    ".ply": cut_ply,
     ".stl": sound_stl,
 }
 """By suffix, what is done to a file's content before it is parsed."""
 
 
 class MeshFile(NamedTuple):
-    """What a mesh file holds."""
+    """What a mesh file holds.
 
-    pieces: list[
-        Piece
-    ]  # Its surfaces, in the file's own frame, and unless it declares a unit in its own.
-    notes: tuple[str, ...]  # What could not be kept of its materials, in words.
-
-
-class NamedMeshFile(NamedTuple):
-    """What a mesh file holds, and what its surfaces are called."""
+    Attributes:
+      pieces: its surfaces, in the file's own frame, and unless it declares a unit in its own.
+      notes: what could not be kept of its materials, in words.
+      names: of each surface, what it hangs on, the innermost first.
+    """
 
     pieces: list[Piece]
     notes: tuple[str, ...]
-    names: tuple[tuple[str, ...], ...]  # Of each surface, what it hangs on, the innermost first.
+    names: tuple[tuple[str, ...], ...] = ()
 
 
 def read_mesh_file(
     path: Path, max_side: int = MAX_TEXTURE, image: Texture | None = None
 ) -> MeshFile:
-    """`read_named_file` without the names."""
-    pieces, notes, _ = read_named_file(path, max_side, image)
-    return MeshFile(pieces, notes)
-
-
-def read_named_file(
-    path: Path, max_side: int = MAX_TEXTURE, image: Texture | None = None
-) -> NamedMeshFile:
     """The file's surfaces in its own frame, each with one colour, with its vertices' or with its image.
 
     Every geometry of a scene graph is placed where its nodes put it. The colour is the material's; colours
     of vertices or triangles that differ are kept for each vertex. A DAE file's declared unit is applied, its
-    vertical axis is not (`axes.own_up`): where a URDF names such a file, that is what PyBullet does. Other
+    vertical axis is not (`source.own_up`): where a URDF names such a file, that is what PyBullet does. Other
     files are in their own unit.
 
     Args:
@@ -122,7 +285,7 @@ def read_named_file(
         raise AssetError(
             f"{path} holds no triangles", "a surface mesh, not points or curves", "; ".join(notes)
         )
-    return NamedMeshFile(pieces, notes, tuple(names))
+    return MeshFile(pieces, notes, tuple(names))
 
 
 def _names_of(scene: trimesh.Scene, node: str) -> tuple[str, ...]:
@@ -146,7 +309,21 @@ def _parse(path: Path, beside: Companions) -> tuple[trimesh.Scene, list[str]]:
         notes += of_content
     with collada_polygons(path) as of_polygons:
         scene = trimesh.load_scene(**content._asdict(), resolver=beside, process=False)
+    if path.suffix.lower() == ".ply":
+        _check_ply_faces(path, scene)
     return scene, [*notes, *of_polygons]
+
+
+def _check_ply_faces(path: Path, scene: trimesh.Scene) -> None:
+    """trimesh reads all faces of a binary PLY file with as many corners as the first has."""
+    for geometry in scene.geometry.values():
+        faces = geometry.metadata.get("_ply_raw", {}).get("face", {}).get("data")
+        if not isinstance(faces, np.ndarray) or faces.dtype.names is None:
+            continue
+        for name in faces.dtype.names:
+            is_list = faces.dtype[name].names == ("f0", "f1")
+            if is_list and len(np.unique(faces[name]["f0"])) > 1:
+                raise ply_of_polygons(path)
 
 
 def _sound(geometry: trimesh.Trimesh, path: Path) -> Mesh:

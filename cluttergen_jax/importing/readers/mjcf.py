@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 
 import mujoco
@@ -14,11 +13,18 @@ from cluttergen_jax.assets.mass import MassProperties, combine_masses
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Joint
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.limited import call_limited
-from cluttergen_jax.importing.readers.mjcf_compile import NO_MASS, compile_mjcf, parse_mjcf
-from cluttergen_jax.importing.readers.mjcf_geoms import geom_mesh, geom_piece, is_convex, roles_of
-from cluttergen_jax.importing.readers.mjcf_limits import check_mjcf_extent
-from cluttergen_jax.importing.readers.mjcf_pictures import picture_notes
+from cluttergen_jax.importing.readers.mjcf_compile import (
+    NO_MASS,
+    compile_with_notes,
+    parse_mjcf,
+)
+from cluttergen_jax.importing.readers.mjcf_geoms import (
+    geom_mesh,
+    geom_piece,
+    is_convex,
+    picture_notes,
+    roles_of,
+)
 from cluttergen_jax.importing.readers.model import (
     MAX_PARTS,
     Model,
@@ -28,10 +34,7 @@ from cluttergen_jax.importing.readers.model import (
     sound_mass,
     unknown_body,
 )
-from cluttergen_jax.importing.readers.opening import check_openable
 
-_COMPILING = 60
-"""Seconds of a processor that MuJoCo may take to compile a file."""
 _JOINT = mujoco.mjtJoint
 _MOVABLE = {_JOINT.mjJNT_HINGE: "hinge", _JOINT.mjJNT_SLIDE: "slide", _JOINT.mjJNT_BALL: "ball"}
 
@@ -155,8 +158,10 @@ def _joints(
             if index in numbers:
                 parent[index], last[body] = last[body], numbers[index]
     moved = [last[int(model.geom_bodyid[geom])] for geom in geoms]
-    return tuple(
-        Joint(
+    joints = []
+    for index, number in numbers.items():
+        dof = model.jnt_dofadr[index]
+        joint = Joint(
             name=model.joint(index).name or f"joint_{number}",
             kind="slide" if model.jnt_type[index] == _JOINT.mjJNT_SLIDE else "hinge",
             anchor=tuple(data.xanchor[index].tolist()),
@@ -165,14 +170,14 @@ def _joints(
             range=tuple(model.jnt_range[index].tolist()) if model.jnt_limited[index] else None,
             parent=parent[index],
             pieces=tuple(place for place, by in enumerate(moved) if by == number),
-            damping=_above_zero(model.dof_damping[model.jnt_dofadr[index]]),
-            friction=_above_zero(model.dof_frictionloss[model.jnt_dofadr[index]]),
-            armature=_above_zero(model.dof_armature[model.jnt_dofadr[index]]),
-        ).with_mass(
-            sound_mass([_body_mass(model, data, body) for body in bodies if last[body] == number])
+            damping=_above_zero(model.dof_damping[dof]),
+            friction=_above_zero(model.dof_frictionloss[dof]),
+            armature=_above_zero(model.dof_armature[dof]),
         )
-        for index, number in numbers.items()
-    )
+        own_bodies = [body for body in bodies if last[body] == number]
+        masses = [_body_mass(model, data, body) for body in own_bodies]
+        joints.append(joint.with_mass(sound_mass(masses)))
+    return tuple(joints)
 
 
 def _above_zero(value: float) -> float | None:
@@ -200,58 +205,6 @@ def _mass_of(path: Path, geoms: Collection[int]) -> float:
         return float(before - spec.compile().body_mass.sum())
     except ValueError:
         return 0.0
-
-
-def compile_with_notes(
-    path: Path, is_simulated: bool = False
-) -> tuple[mujoco.MjModel, tuple[str, ...]]:
-    """The model of an MJCF file, whose names are text, and what had to be changed in it (`compile_mjcf`).
-
-    Raises:
-      AssetError: MuJoCo cannot compile it (its own message is kept), or a name is not UTF-8.
-    """
-    check_before_mujoco(path)
-    try:
-        model, notes = compile_mjcf(path, is_simulated)
-        # MuJoCo takes any bytes for a name; they would come to light wherever one is first read.
-        model.names.decode()
-    except (ValueError, OSError, mujoco.FatalError) as error:
-        message = " ".join(str(error).split())
-        is_missing = "opening file" in message
-        allowed = "" if is_missing else "an MJCF file"
-        hint = "restoring the file that it names" if is_missing else ""
-        raise AssetError(f"{path} cannot be compiled as MJCF: {message}", allowed, hint) from error
-    return model, notes
-
-
-def check_before_mujoco(path: Path, text: str = "") -> None:
-    """Refuses a file that MuJoCo would not come back from: by its text, then in a process with limits.
-
-    MuJoCo compiles in the process that calls it, where a crash, or all memory, would end the whole program.
-
-    Args:
-      path: MJCF, URDF, or MJB, which MuJoCo has compiled.
-      text: what is compiled in place of the file's own content.
-
-    Raises:
-      AssetError: it goes beyond limits (`mjcf_limits`), or compiling it crashes, takes too long or too much.
-    """
-    if path.suffix.lower() in (".mjb", ".urdf"):
-        check_openable(path)
-    else:
-        check_mjcf_extent(path)
-    call_limited(path, _try_to_compile, path, text, seconds=_COMPILING)
-
-
-def _try_to_compile(path: Path, text: str) -> None:
-    """Compiles a file for whether that comes to an end; what it says is said by who compiles it next."""
-    with suppress(ValueError, OSError, mujoco.FatalError):
-        if text:
-            mujoco.MjModel.from_xml_string(text)
-        elif path.suffix.lower() == ".mjb":
-            mujoco.MjModel.from_binary_path(str(path))
-        else:
-            mujoco.MjModel.from_xml_path(str(path))
 
 
 def world_bodies(model: mujoco.MjModel) -> list[int]:

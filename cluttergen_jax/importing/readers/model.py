@@ -13,7 +13,7 @@ from cluttergen_jax.assets.mass import MassProperties, StatedMass, combine_masse
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.shape import Joint, Piece
-from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.errors import ConfigError, closest, first_names
 
 MAX_PARTS = 32
 _HAIR = 1e-6
@@ -24,18 +24,27 @@ _HEAVIEST = 1000.0
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A model of several links or bodies as one rigid thing, all its joints frozen."""
+    """A model of several links or bodies as one rigid thing, all its joints frozen.
 
-    pieces: list[Piece]  # The surfaces that are shown.
-    parts: (
-        tuple[Mesh, ...] | None
-    )  # Convex collision parts; None if the file has none that can be used.
-    stated: StatedMass | None  # Mass and inertia; None if the file has none.
-    notes: tuple[str, ...] = ()  # What was decided about the model, in words.
-    density: float | None = None  # kg/m^3 as the file has it, for where it has no mass.
-    colliding: tuple[Mesh, ...] = ()  # All that collides as the file has it, convex or not.
-    link_of: tuple[int, ...] = ()  # For each piece, the number of its link; where links are read.
-    joints: tuple[Joint, ...] = ()  # Hinges and slides, which whoever keeps them need not freeze.
+    Attributes:
+      pieces: the surfaces that are shown.
+      parts: convex collision parts; None if the file has none that can be used.
+      stated: mass and inertia; None if the file has none.
+      notes: what was decided about the model, in words.
+      density: kg/m^3 as the file has it, for where it has no mass.
+      colliding: all that collides as the file has it, convex or not.
+      link_of: for each piece, the number of its link; where links are read.
+      joints: hinges and slides, which whoever keeps them need not freeze.
+    """
+
+    pieces: list[Piece]
+    parts: tuple[Mesh, ...] | None
+    stated: StatedMass | None
+    notes: tuple[str, ...] = ()
+    density: float | None = None
+    colliding: tuple[Mesh, ...] = ()
+    link_of: tuple[int, ...] = ()
+    joints: tuple[Joint, ...] = ()
 
 
 def frozen_note(joints: Iterable[tuple[str, str, float, bool]]) -> tuple[str, ...]:
@@ -123,7 +132,7 @@ def sound_mass(bodies: Sequence[MassProperties]) -> MassProperties | None:
 def unknown_body(body: str, path: Path, known: Iterable[str], what: str = "body") -> ConfigError:
     """The error that a file has no body, link, model or node of that name."""
     names = [name for name in known if name]
-    allowed = ", ".join(names[:_MOST_NAMES]) + (", ..." if len(names) > _MOST_NAMES else "")
+    allowed = first_names(names, _MOST_NAMES, ", ...")
     return ConfigError(
         f"{what} {body!r} of {path.name}",
         allowed or f"nothing in it has a name: {path.name} without '#'",

@@ -95,12 +95,9 @@ class Belonging:
     def title(self, mesh: Path) -> str:
         """What an object is called that only its pieces show: `mug` of `mug_vis`; else empty."""
         whole = whole_of(mesh.stem)
+        pieces = [stem for stem in self._meshes[mesh.parent] if whole_of(stem) == whole]
         is_chosen = self._chosen[mesh.parent].get(whole) == mesh
-        return (
-            whole
-            if is_chosen and [*map(whole_of, self._meshes[mesh.parent])].count(whole) > 1
-            else ""
-        )
+        return whole if is_chosen and len(pieces) > 1 else ""
 
     def why_model(self, model: ModelFile) -> str:
         """Why a model is a piece of another; empty if it is not."""
@@ -149,15 +146,11 @@ class Belonging:
                 return found
         if numbered is None or whole:
             return None
-        model = self._models[folder].get(numbered["whole"])
-        is_of_folder = numbered["whole"] == folder.resolve().name.lower()
-        return (
-            model.path
-            if model
-            else self._meshes[folder].get(numbered["whole"])
-            if is_of_folder
-            else None
-        )
+        whole = numbered["whole"]
+        if model := self._models[folder].get(whole):
+            return model.path
+        is_of_folder = whole == folder.resolve().name.lower()
+        return self._meshes[folder].get(whole) if is_of_folder else None
 
     def _around(self, folder: Path) -> list[Path]:
         """A folder; of one called after pieces also that above it, and those there of what is seen."""
@@ -167,12 +160,9 @@ class Belonging:
         return [folder, folder.parent, *(sisters if not _is(folder, _SEEN_FOLDER) else ())]
 
     def _at(self, folder: Path, stem: str) -> Path | None:
-        model = self._models[folder].get(stem)
-        return (
-            model.path
-            if model
-            else self._meshes[folder].get(stem) or self._chosen[folder].get(stem)
-        )
+        if model := self._models[folder].get(stem):
+            return model.path
+        return self._meshes[folder].get(stem) or self._chosen[folder].get(stem)
 
     def _objects(self, folder: Path) -> list[Path]:
         """Models and meshes."""

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from cluttergen_jax.assets.baking import bake_colours
+from cluttergen_jax.assets.folds import without_folds
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
-from cluttergen_jax.assets.mesh_repair.folds import without_folds
-from cluttergen_jax.assets.shape import Piece, Provenance, Shape
+from cluttergen_jax.assets.shape import Piece, Provenance, Shape, rotate_meshes
+from cluttergen_jax.assets.visuals import bake_colours
 from cluttergen_jax.errors import AssetError, ConfigError
 from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
 from cluttergen_jax.importing.readers.mjcf import read_mjcf
@@ -93,14 +93,14 @@ def read_shape(
         pieces=tuple(piece.transform(turn, np.zeros(3)) for piece in pieces),
         provenance=_provenance(source, options),
         synset=source.synset,
-        parts=None if model.parts is None else _rotate_meshes(model.parts, turn),
+        parts=None if model.parts is None else rotate_meshes(model.parts, turn),
         mass=mass,
         density=density,
         stated=None if stated is None else stated.convert(rotation, options.scale, mass_scale),
         friction=options.friction,
         scale=options.scale,
         notes=notes,
-        colliding=_rotate_meshes(model.colliding, turn),
+        colliding=rotate_meshes(model.colliding, turn),
         is_pose_free=options.up == options.front == AUTO,
         stated_up=f"{own.axis} up, {own.reason}" if own.is_stated else "",
         is_from_file=True,
@@ -114,10 +114,6 @@ def read_shape(
     )
     _check_size(shape, source.path, smallest, largest)
     return shape
-
-
-def _rotate_meshes(meshes: Sequence[Mesh], turn: np.ndarray) -> tuple[Mesh, ...]:
-    return tuple(mesh.transform(turn, np.zeros(3)) for mesh in meshes)
 
 
 def _model(
@@ -140,8 +136,8 @@ def _model(
     if source.kind == "mjcf":
         model = read_mjcf(source.path, source.body, options.max_texture, joints, source.bodies)
         return model, options.scale**3
-    pieces, notes = read_thing(source.path, options.max_texture, source.body, is_whole)
-    model = Model(pieces, None, None, notes)
+    file = read_thing(source.path, options.max_texture, source.body, is_whole)
+    model = Model(file.pieces, None, None, file.notes)
     return with_kept_parts(model, source.parts) if source.parts else model, 1.0
 
 
@@ -237,9 +233,7 @@ def with_kept_parts(model: Model, files: Sequence[Path]) -> Model:
         note = f"the collision shapes of {named} were not kept: {why}"
     else:
         note = f"its collision parts are those of {named}"
-    return Model(
-        model.pieces, parts, model.stated, (*model.notes, note), model.density, tuple(shapes)
-    )
+    return replace(model, parts=parts, notes=(*model.notes, note), colliding=tuple(shapes))
 
 
 def _connected_pieces(meshes: list[Mesh]) -> list[Mesh]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,44 +10,61 @@ from xml.etree import ElementTree
 
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.damage import stand_in
-from cluttergen_jax.importing.readers.mjcf import compile_with_notes, world_bodies
-from cluttergen_jax.importing.readers.mjcf_limits import check_mjcf_extent
-from cluttergen_jax.importing.readers.opening import MOST_XML, as_utf8, check_openable, read_file
-from cluttergen_jax.importing.readers.places import folder_place, mesh_place
-from cluttergen_jax.importing.readers.sdf import models
-from cluttergen_jax.importing.readers.sdf_includes import (
+from cluttergen_jax.importing.readers.mjcf import world_bodies
+from cluttergen_jax.importing.readers.mjcf_compile import (
+    asset_folders,
+    check_mjcf_extent,
+    compile_with_notes,
+    named_files,
+    places_of,
+)
+from cluttergen_jax.importing.readers.opening import (
+    MOST_XML,
+    as_utf8,
+    check_openable,
+    folder_place,
+    mesh_place,
+    read_file,
+)
+from cluttergen_jax.importing.readers.sdf import (
     CONFIG,
     config_of,
     is_from_elsewhere,
+    models,
     read_sdf_tree,
 )
-from cluttergen_jax.importing.readers.sdf_includes import ROOTS as SDF_ROOTS
+from cluttergen_jax.importing.readers.sdf import ROOTS as SDF_ROOTS
 from cluttergen_jax.importing.readers.xml_tree import BROKEN, Element, parse_xml, plain_tag
 
 _MADE_BY_MUJOCO = ("frame", "replicate", "attach")
 """Elements whose bodies hang on what the element hangs on."""
 _MODELS = (".sdf", ".urdf", ".xml")
 _SHOWS_NOTHING = ("light", "camera", "site")
-_FOLDERS = ("meshdir", "assetdir", "texturedir")
 _NAMED = re.compile(r"\bfile(?:name)?\s*=\s*[\"']([^\"'<>]+)")
 
 
 @dataclass(frozen=True)
 class ModelFile:
-    """A URDF, SDF or MJCF file; files by their real paths."""
+    """A URDF, SDF or MJCF file; files by their real paths.
+
+    Attributes:
+      kind: "urdf", "sdf" or "mjcf".
+      files: meshes and textures that it names and that are there.
+      includes: MJCF files that are part of it.
+      bodies: names of bodies of the world ("" for none) or of an SDF's models.
+      is_whole: all that it names is there.
+      fault: why it is no object: a part for others to include, or broken.
+      shared: files that it includes and that are objects of their own too.
+    """
 
     path: Path
-    kind: str  # "urdf", "sdf" or "mjcf".
-    files: frozenset[Path] = frozenset()  # Meshes and textures that it names and that are there.
-    includes: frozenset[Path] = frozenset()  # MJCF files that are part of it.
-    bodies: tuple[
-        str, ...
-    ] = ()  # Names of bodies of the world ("" for none) or of an SDF's models.
-    is_whole: bool = True  # All that it names is there.
-    fault: str = ""  # Why it is no object: a part for others to include, or broken.
-    shared: frozenset[Path] = (
-        frozenset()
-    )  # Files that it includes and that are objects of their own too.
+    kind: str
+    files: frozenset[Path] = frozenset()
+    includes: frozenset[Path] = frozenset()
+    bodies: tuple[str, ...] = ()
+    is_whole: bool = True
+    fault: str = ""
+    shared: frozenset[Path] = frozenset()
 
 
 def model_file(path: Path, is_given: bool = False) -> ModelFile | str:
@@ -151,21 +167,13 @@ def _mjcf(path: Path) -> ModelFile:
     includes.discard(path.resolve())
     if root is None:
         return ModelFile(path, "mjcf", _named_in_text(path), is_whole=False)
-    folders = {path.parent}
-    for compiler in root.iter("compiler"):
-        folders |= {path.parent / compiler.get(name, "") for name in _FOLDERS}
+    folders = [path.parent, *asset_folders(root, path.parent)]
     files: set[Path] = set()
     is_whole = True
     for element in root.iter():
-        names = [
-            value.replace("\\", "/") for name, value in element.items() if name.startswith("file")
-        ]
-        there = {
-            file.resolve()
-            for name in names
-            for file in _candidates(name, folders)
-            if file.is_file()
-        }
+        names = list(named_files(element))
+        places = (file for name in names for file in places_of(name, folders))
+        there = {file.resolve() for file in places if file.is_file()}
         is_whole &= bool(there) or not names
         if element.tag == "model":
             # An attached model is part of this one, with all that it names itself.
@@ -208,13 +216,6 @@ def _bodies(path: Path, root: Element) -> tuple[str, ...]:
             model = compile_with_notes(path)[0]
             return tuple(model.body(each).name for each in world_bodies(model))
     return tuple(child.get("name", "") for child in inside if child.tag == "body")
-
-
-def _candidates(name: str, folders: set[Path]) -> Iterator[Path]:
-    """Where MuJoCo may look for a file, with its path stripped or not."""
-    for folder in folders:
-        yield folder / name
-        yield folder / Path(name).name
 
 
 def _expand_includes(path: Path, main: Path, includes: set[Path]) -> Element | None:

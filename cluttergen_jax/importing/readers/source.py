@@ -31,13 +31,15 @@ _VECTORS = {
 
 @dataclass(frozen=True)
 class UpAxis:
-    """The axis that was taken for up, and why, in words."""
+    """The axis that was taken for up, and why, in words.
+
+    Attributes:
+      is_stated: by the file or by its format's standard; False where neither says anything.
+    """
 
     axis: str
     reason: str
-    is_stated: bool = (
-        True  # By the file or by its format's standard; False where neither says anything.
-    )
+    is_stated: bool = True
 
 
 def own_up(path: Path, kind: str) -> UpAxis:
@@ -105,9 +107,9 @@ class ReadOptions:
     Attributes:
       scale: factor from the file's unit to metres.
       up: the file's axis that points up: x, y, z, -x, -y or -z; "file" takes what the file or its format says
-        (`axes.own_up`). All of these keep the authored pose; "auto" begins with the file's axis. Where the
+        (`own_up`). All of these keep the authored pose; "auto" begins with the file's axis. Where the
         file or its format states that axis and the object stands so, it keeps that pose; else it is turned
-        into the pose in which people put it (`assets.upright`).
+        into the pose in which people put it (`assets.stances`).
       front: the file's axis that becomes the object's +x, at a right angle to `up`, and keeps the pose too;
         "auto" takes x, or -y where x is up.
       density: kg/m^3, for objects whose mass is not known.
@@ -146,32 +148,42 @@ class ReadOptions:
 
 @dataclass(frozen=True)
 class ObjectFile:
-    """One object to be read."""
+    """One object to be read.
 
-    path: Path  # The mesh, URDF, SDF or MJCF file.
-    kind: str  # "mesh", "urdf", "sdf" or "mjcf".
-    name: str  # `[a-z0-9_-]+`, unique among the sources found together.
-    label: str  # What people call it.
-    body: str = ""  # The body's or model's name, where an MJCF or SDF file holds several objects.
-    bodies: tuple[
-        str, ...
-    ] = ()  # Of furniture, the bodies or models that are one piece of it together.
+    Attributes:
+      path: the mesh, URDF, SDF or MJCF file.
+      kind: "mesh", "urdf", "sdf" or "mjcf".
+      name: `[a-z0-9_-]+`, unique among the sources found together.
+      label: what people call it.
+      body: the body's or model's name, where an MJCF or SDF file holds several objects.
+      bodies: of furniture, the bodies or models that are one piece of it together.
+      notes: known faults, passed on as flags.
+      parts: files of collision shapes that are to be its parts.
+      synset: what kind of thing it is, as its file or its settings say.
+      outside: files that it takes from outside its folder (`Provenance.outside`).
+      plain: the name without the number that sets it apart from others.
+      stretch: factors along a mesh file's axes, beside `scale`.
+      decisions: what was decided before it is read, in words; passed on as notes.
+    """
+
+    path: Path
+    kind: str
+    name: str
+    label: str
+    body: str = ""
+    bodies: tuple[str, ...] = ()
     provenance: Provenance | None = None
-    notes: tuple[str, ...] = ()  # Known faults, passed on as flags.
-    parts: tuple[Path, ...] = ()  # Files of collision shapes that are to be its parts.
-    synset: str = ""  # What kind of thing it is, as its file or its settings say.
-    outside: tuple[
-        str, ...
-    ] = ()  # Files that it takes from outside its folder (`Provenance.outside`).
-    plain: str = ""  # The name without the number that sets it apart from others.
+    notes: tuple[str, ...] = ()
+    parts: tuple[Path, ...] = ()
+    synset: str = ""
+    outside: tuple[str, ...] = ()
+    plain: str = ""
     stretch: tuple[float, float, float] = (
         1.0,
         1.0,
         1.0,
-    )  # Factors along a mesh file's axes, beside `scale`.
-    decisions: tuple[
-        str, ...
-    ] = ()  # What was decided before it is read, in words; passed on as notes.
+    )
+    decisions: tuple[str, ...] = ()
 
 
 _OF_NO_UNIT = (".obj", ".stl", ".ply")

@@ -18,11 +18,14 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from cluttergen_jax.assets.config import MAX_TEXTURE
-from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.mesh import Mesh, connected
 from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.errors import AssetError, ConfigError, closest
-from cluttergen_jax.importing.readers.mesh_file import MeshFile, NamedMeshFile, read_named_file
-from cluttergen_jax.importing.readers.mesh_text import as_utf8
+from cluttergen_jax.errors import AssetError, ConfigError, closest, first_names
+from cluttergen_jax.importing.readers.mesh_file import (
+    MeshFile,
+    as_utf8,
+    read_mesh_file,
+)
 from cluttergen_jax.importing.readers.source import says_something
 
 _NEAR = 0.15
@@ -54,7 +57,7 @@ class SeveralThings(AssetError):
         super().__init__(
             f"{path} holds {len(names)} things that do not touch",
             "one of them, by its name or number behind '#'",
-            ", ".join(self.places[:_MAX_NAMED]),
+            first_names(self.places, _MAX_NAMED, ""),
         )
 
 
@@ -72,12 +75,12 @@ def read_thing(
       AssetError: see `read_mesh_file`; `SeveralThings`.
       ConfigError: the file has no such node.
     """
-    file = read_named_file(path, max_side)
+    file = read_mesh_file(path, max_side)
     # `read_shape` reports what is not finite.
     if (is_whole and not node) or not all(
         np.isfinite(each.mesh.vertices).all() for each in file.pieces
     ):
-        return MeshFile(file.pieces, file.notes)
+        return file
     scene = _Scene(path, file)
     if node:
         return MeshFile(scene.cut_out(scene.choose(node)), file.notes)
@@ -117,7 +120,7 @@ class _Component:
 class _Scene:
     """What a mesh file holds, in connected pieces."""
 
-    def __init__(self, path: Path, file: NamedMeshFile) -> None:
+    def __init__(self, path: Path, file: MeshFile) -> None:
         self._path = path
         self._file = file
         self.components = [
@@ -164,7 +167,7 @@ class _Scene:
             allowed = list(dict.fromkeys([*names, *known]))
             raise ConfigError(
                 f"{self._path.name}#{node}",
-                ", ".join(allowed[:_MAX_NAMED]) + (", ..." if len(allowed) > _MAX_NAMED else ""),
+                first_names(allowed, _MAX_NAMED, ", ..."),
                 meant=closest(node, allowed),
             )
         return found
@@ -202,9 +205,7 @@ def _components(index: int, mesh: Mesh) -> list[_Component]:
     _, welded = np.unique(points.view([("", points.dtype)] * 3).ravel(), return_inverse=True)
     corners = welded.reshape(-1)[mesh.faces]
     ends = np.concatenate([corners[:, :2], corners[:, 1:]])
-    count = len(points)
-    graph = coo_matrix((np.ones(len(ends), bool), (ends[:, 0], ends[:, 1])), (count, count))
-    labels = connected_components(graph, directed=False)[1][corners[:, 0]]
+    labels = connected(ends, len(points))[corners[:, 0]]
     order = np.argsort(labels, kind="stable")
     starts = np.flatnonzero(np.diff(labels[order], prepend=-1))
     around = mesh.vertices[mesh.faces]
@@ -248,13 +249,13 @@ def _things(
         own = titles(groups)
         is_named = np.array([bool(name) and own.count(name) == 1 for name in own])
         is_thing |= is_named & (size >= _LEAST_NAMED * size.max())
-    things = [group for group, is_large in zip(groups, is_thing, strict=True) if is_large]
-    crumbs = [
-        one
-        for group, is_large in zip(groups, is_thing, strict=True)
-        if not is_large
-        for one in group
-    ]
+    things = []
+    crumbs = []
+    for group, is_large in zip(groups, is_thing, strict=True):
+        if is_large:
+            things.append(group)
+        else:
+            crumbs += group
     crumbs += [each for each in components if id(each) not in chosen]
     if crumbs:
         nearest = _gaps(*_boxes([[each] for each in crumbs]), *_boxes(things)).argmin(1)

@@ -12,7 +12,7 @@ from cluttergen_jax.errors import AssetError, closest
 from cluttergen_jax.importing.limited import call_limited
 from cluttergen_jax.importing.readers.pieces import MESH_SUFFIXES, MSH, Belonging
 from cluttergen_jax.importing.readers.references import ModelFile, model_file
-from cluttergen_jax.importing.readers.sdf_includes import CONFIG, config_of
+from cluttergen_jax.importing.readers.sdf import CONFIG, config_of
 from cluttergen_jax.importing.readers.sidecars import named_pieces
 from cluttergen_jax.importing.readers.source import (
     GENERIC,
@@ -31,18 +31,8 @@ SETTINGS = "objects.toml"
 
 # Materials, textures and buffers belong to a mesh beside them; label.json to a URDF, model.config to an SDF.
 _COMPANIONS = (
-    ".mtl",
-    ".material",
-    ".bin",
-    ".png",
-    ".jpg",
-    ".jpeg",
-    ".bmp",
-    ".tga",
-    ".tif",
-    ".tiff",
-    ".webp",
-    ".gif",
+    *(".mtl", ".material", ".bin", ".png", ".jpg", ".jpeg", ".bmp", ".tga"),
+    *(".tif", ".tiff", ".webp", ".gif"),
 )
 _NOTES = (SETTINGS, "label.json", CONFIG)
 _OTHER_FORMATS = re.compile(
@@ -61,7 +51,7 @@ class Skipped:
 
 
 @dataclass(frozen=True)
-class Found:
+class Survey:
     """What a path holds: objects in sorted order, what was passed over, and all files."""
 
     sources: tuple[ObjectFile, ...]
@@ -74,13 +64,13 @@ def find_sources(path: str | Path) -> list[ObjectFile]:
     return list(survey(path).sources)
 
 
-def survey(path: str | Path) -> Found:
+def survey(path: str | Path) -> Survey:
     """`find_all`, with distinct names."""
     found = find_all(path)
     return replace(found, sources=tuple(make_names_distinct(found.sources)))
 
 
-def find_all(path: str | Path) -> Found:
+def find_all(path: str | Path) -> Survey:
     """Every object that `path` holds, and every file that is none; several objects may have one name.
 
     With "#" and a name behind a file, it is that body of a model, or that node of a mesh file.
@@ -108,9 +98,9 @@ def find_all(path: str | Path) -> Found:
         for scan, best in others.items():
             tree.skip(scan, f"another scan of the object in {best.parent.name}")
         files = tuple(file for here in tree.files.values() for file in here)
-        found = Found(tuple(sources), tuple(tree.skipped), files)
+        found = Survey(tuple(sources), tuple(tree.skipped), files)
     else:
-        found = Found(tuple(_from_file(path)), files=(path,))
+        found = Survey(tuple(_from_file(path)), files=(path,))
     if not found.sources:
         passed = ", ".join(each.name for each in found.skipped[:5])
         raise AssetError(
@@ -120,7 +110,7 @@ def find_all(path: str | Path) -> Found:
     return found
 
 
-def _chosen(text: str) -> Found:
+def _chosen(text: str) -> Survey:
     """One body of a model file, or one node of a mesh file, as `file.glb#node` names it."""
     cuts = [place for place, sign in enumerate(text) if sign == "#"]
     cut = next((each for each in cuts if os.path.isfile(text[:each])), None)
@@ -131,13 +121,13 @@ def _chosen(text: str) -> Found:
     file = Path(text[:cut])
     body = text[cut + 1 :]
     if file.suffix.lower() in MESH_SUFFIXES:
-        return Found((node_source(file, body),), files=(file,))
+        return Survey((node_source(file, body),), files=(file,))
     sources = find_all(file).sources
     known = {each.body.removeprefix("#") or each.name: each for each in sources}
     if body not in known:
         given = f"{file} holds nothing called {body!r}"
         raise AssetError(given, ", ".join(known), meant=closest(body, known))
-    return Found((known[body],), files=(file,))
+    return Survey((known[body],), files=(file,))
 
 
 def node_source(file: Path, node: str) -> ObjectFile:
@@ -181,14 +171,16 @@ def _sources_of(model: ModelFile) -> Iterator[ObjectFile]:
 
 @dataclass
 class _Tree:
-    """A walk through the folders below `root`: first everything is looked at, then sources are chosen."""
+    """A walk through the folders below `root`: first everything is looked at, then sources are chosen.
+
+    Attributes:
+      named: pieces, with the JSON that names them so.
+    """
 
     root: Path
     skipped: list[Skipped] = field(default_factory=list)
     files: dict[Path, list[Path]] = field(default_factory=dict)
-    named: dict[Path, Path] = field(
-        default_factory=dict
-    )  # Pieces, with the JSON that names them so.
+    named: dict[Path, Path] = field(default_factory=dict)
 
     def enter_all(self) -> None:
         """Lists each real folder once: first those that lie here, then those that only links lead to."""
@@ -226,11 +218,9 @@ class _Tree:
 
     def sources(self) -> Iterator[ObjectFile]:
         """What is imported; the rest is added to `skipped`."""
+        every = [file for files in self.files.values() for file in files]
         models = {
-            file: _model_or_fault(file)
-            for files in self.files.values()
-            for file in files
-            if file.suffix.lower() in MODEL_SUFFIXES
+            file: _model_or_fault(file) for file in every if file.suffix.lower() in MODEL_SUFFIXES
         }
         readable = [model for model in models.values() if isinstance(model, ModelFile)]
         owner: dict[Path, ModelFile] = {}
@@ -238,7 +228,7 @@ class _Tree:
             for file in model.files | model.includes:
                 owner.setdefault(file, model)
         belonging = Belonging(self.files, readable, owner)
-        self.named = named_pieces([file for files in self.files.values() for file in files])
+        self.named = named_pieces(every)
         for files in self.files.values():
             here = [models[file] for file in files if file in models]
             for file in files:

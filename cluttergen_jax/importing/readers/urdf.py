@@ -19,7 +19,7 @@ from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.damage import refuse_stand_in
 from cluttergen_jax.importing.readers.links import (
     Link,
-    Look,
+    SurfaceLook,
     Surfaces,
     check_unique,
     link_mass,
@@ -34,7 +34,7 @@ from cluttergen_jax.importing.readers.model import (
     sound_mass,
     unknown_body,
 )
-from cluttergen_jax.importing.readers.places import mesh_place
+from cluttergen_jax.importing.readers.opening import mesh_place
 from cluttergen_jax.importing.readers.xml_tree import (
     BROKEN,
     Element,
@@ -457,12 +457,12 @@ class _Looks:
     materials: dict[str, Element]
     surfaces: Surfaces
 
-    def of(self, element: Element) -> Look:
+    def of(self, element: Element) -> SurfaceLook:
         """What the material of a <visual> says, here or elsewhere in the file."""
         colour = self._material(element, "color")
         texture = self._material(element, "texture")
         name = "" if texture is None else texture.get("filename", "")
-        return Look(
+        return SurfaceLook(
             GREY if colour is None else self.surfaces.colour(colour, "rgba"),
             self.surfaces.image(name, mesh_place(self.surfaces.path, name)) if name else None,
         )

@@ -154,7 +154,6 @@ PRESETS = {"cpu": cpu, "gpu": gpu, "paper": paper, "paper_code": paper_code, "pa
 
 _CHANGES: dict[str, Callable[[NetworkConfig], NetworkConfig]] = {
     "policy": lambda network: network,
-    "beta": lambda network: replace(network, head="beta"),
     "beta_free": lambda network: replace(network, head="beta_free", height_precision=0.0),
     "normal": lambda network: replace(network, head="normal"),
     "open_loop": lambda network: replace(network, history_width=0),

@@ -27,7 +27,7 @@ from cluttergen_jax.files import folder_whole, inside
 from cluttergen_jax.kept_folder import lock_beside
 from cluttergen_jax.scene import Scene, scene_cameras
 from cluttergen_jax.scene.collection import check_alike
-from cluttergen_jax.scene.export.formats import FORMATS, Format, find_format
+from cluttergen_jax.scene.export.formats import FORMATS, Format, find_format, own_record
 from cluttergen_jax.scene.export.meshes import SUPPORT_FOLDER
 from cluttergen_jax.scene.export.molmospaces import read_grasps, write_grasps
 from cluttergen_jax.scene.export.scene_json import cameras_record, objects_record
@@ -39,7 +39,7 @@ LICENCES = "LICENSES.txt"
 def export_scenes(
     scenes: Iterable[Scene],
     out: str | Path,
-    format: str = "mjcf",
+    format: str | Format = "mjcf",
     *,
     overwrite: bool = False,
     cameras: Sequence[str] = (),
@@ -50,7 +50,7 @@ def export_scenes(
     Args:
       scenes: at least one; they share support, contact parameters and time step.
       out: a folder that does not exist yet.
-      format: a key of `FORMATS`.
+      format: a key of `FORMATS`; `FILE.py:NAME` or `MODULE:NAME`; or a `Format` of your own.
       overwrite: replace an earlier export that is there.
       cameras: of `scene.CAMERAS`, to be added to every scene; `scene.scene_cameras` says where they stand.
       grasps: a file of `cluttergen robot grasps --out`, for formats that have grasps: "molmospaces".
@@ -69,7 +69,7 @@ def export_scenes(
     out = Path(out)
     if grasps is not None and not kind.takes_grasps:
         allowed = ", ".join(each.name for each in FORMATS.values() if each.takes_grasps)
-        raise ConfigError(f"grasps in the format {format!r}", f"grasps with: {allowed}")
+        raise ConfigError(f"grasps in the format {kind.name!r}", f"grasps with: {allowed}")
     transforms = {} if grasps is None else read_grasps(grasps)
     check_place(out, overwrite)
     with lock_beside(out):
@@ -210,6 +210,7 @@ def manifest(
         "format": 1,
         "kind": "cluttergen export",
         "export_format": kind.name,
+        **own_record(kind),
         "generator": {"cluttergen_jax": generator},
         "conventions": "metres, kilograms, seconds; quaternions wxyz; z up; origin on the floor",
         "physics": {"timestep": first.stability.timestep, **asdict(first.contact)},

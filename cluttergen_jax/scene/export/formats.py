@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib
+import importlib.util
+import inspect
+import os
+import re
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from cluttergen_jax.assets.object import ObjectAsset
@@ -40,18 +47,20 @@ from cluttergen_jax.scene.xml import object_xml, scene_xml
 WriteObject = Callable[[Path, ObjectAsset, ContactConfig], None]
 WriteSupport = Callable[[Path, SupportAsset, ContactConfig], None]
 WriteScene = Callable[[Path, Scene], None]
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
 @dataclass(frozen=True)
 class Format:
-    """One way to write scenes.
+    """One way to write scenes. One of your own is given to `export`, or made known by `register_format`.
 
     Attributes:
       name: as on the command line.
       opens_in: who reads it, and how, in a sentence for the folder's README.
       ending: of a scene's file in `scenes/`.
-      write_object, write_support: write what all scenes share into a folder; None where a scene holds all.
-      write_scene: writes a scene's file.
+      write_object, write_support: write what all scenes share into a folder, of an asset or the support and
+        the contact parameters; None where a scene holds all.
+      write_scene: writes a scene's file, of its path and the `Scene`.
       script: a stand-alone loader that travels along, in `export/scripts`; "" for none.
       object_folder: where an object's files lie, relative to the export's folder.
       takes_cameras: cameras are written into what the program reads; else into `scenes/*.json` alone.
@@ -304,19 +313,152 @@ _ALL = (
     ),
 )
 FORMATS = {each.name: each for each in _ALL}
-"""Every format by name."""
+"""Every format by name: those of this package, and what `register_format` was given."""
 
 
-def find_format(name: str) -> Format:
-    """The format of that name.
+def is_own(format: Format) -> bool:
+    """Whether a format is a user's, not one of this package."""
+    return all(format is not each for each in _ALL)
+
+
+def register_format(format: Format) -> Format:
+    """Makes a format of your own known by its name, to `export` and `export_scenes` of this process.
+
+    On the command line it is `cluttergen export BANK --format FILE.py:NAME`, where NAME is the variable of
+    the file that holds the `Format`; the manifest of an export names that file and its digest.
+
+    Args:
+      format: what writes objects, the support and scenes; see `Format`. A format that was registered under
+        the same name before is replaced.
+
+    Returns:
+      The format.
+
+    Raises:
+      ConfigError: it is no `Format`, its name is one of this package's formats, or a field is wrong.
+    """
+    _check_own(format)
+    FORMATS[format.name] = format
+    return format
+
+
+def find_format(format: str | Format) -> Format:
+    """The format of that name, or the one in `FILE.py:NAME` or `MODULE:NAME`, or the one that is given.
 
     Raises:
       ConfigError: there is none.
       MissingExtraError: it needs a package that is not installed.
     """
-    if name not in FORMATS:
+    if isinstance(format, str) and ":" in format:
+        found = _load_format(format)
+    elif isinstance(format, str) and format in FORMATS:
+        found = FORMATS[format]
+    elif isinstance(format, str):
         raise ConfigError(
-            f"format {name!r}", ", ".join(FORMATS), "format='mjcf'", closest(name, FORMATS)
+            f"format {format!r}",
+            f"{', '.join(FORMATS)}, or one of your own as FILE.py:NAME",
+            "format='mjcf'",
+            closest(format, FORMATS),
         )
-    FORMATS[name].require()
-    return FORMATS[name]
+    else:
+        found = format
+    if not isinstance(found, Format) or is_own(found):
+        _check_own(found)
+    found.require()
+    return found
+
+
+def _check_own(format: object) -> None:
+    """Refuses what is no whole format of a user's own (ConfigError)."""
+    if not isinstance(format, Format):
+        raise ConfigError(
+            f"the format {format!r}",
+            "a `cluttergen_jax.Format`, or a name",
+            "Format(name, opens_in, ending, write_object, write_support, write_scene)",
+        )
+    for field in ("name", "ending"):
+        value = getattr(format, field)
+        if not isinstance(value, str) or not _NAME.fullmatch(value):
+            raise ConfigError(
+                f"a format with {field} {value!r}", "letters, digits, '.', '_' and '-'", "my-format"
+            )
+    if any(format.name == each.name for each in _ALL) and is_own(format):
+        given = f"a format of your own called {format.name!r}, which this package has"
+        raise ConfigError(given, "another name", f"name='my-{format.name}'")
+    writers = {
+        "write_object": format.write_object,
+        "write_support": format.write_support,
+        "write_scene": format.write_scene,
+    }
+    for field, writer in writers.items():
+        if not callable(writer) and (writer is not None or field == "write_scene"):
+            raise ConfigError(f"a format whose {field} is {writer!r}", "a function")
+    if format.script and is_own(format):
+        raise ConfigError(
+            f"a format of your own with script {format.script!r}",
+            "no script: those that travel along are this package's",
+            "write_scene, which may write more files beside the scene's",
+        )
+
+
+def _load_format(text: str) -> Format:
+    """The format that a variable of a file or of a module holds: `FILE.py:NAME` or `MODULE:NAME`."""
+    place, _, name = text.rpartition(":")
+    try:
+        module = _module_of(place)
+    except Exception as error:  # A user's file raises whatever it does.
+        raise ConfigError(
+            f"format {text!r}, of which {place!r} cannot be imported: {error or type(error).__name__}",
+            "FILE.py:NAME or MODULE:NAME",
+            "the path of a file that exists and that `python` runs without an error",
+        ) from error
+    found = getattr(module, name, None)
+    if isinstance(found, Format):
+        return found
+    held = [key for key, value in vars(module).items() if isinstance(value, Format)]
+    raise ConfigError(
+        f"format {text!r}: {name!r} of {place} is {'missing' if found is None else 'no Format'}",
+        ", ".join(held) or "a variable that holds a `cluttergen_jax.Format`",
+        meant=closest(name, held),
+    )
+
+
+def _module_of(place: str) -> ModuleType:
+    if not place.endswith(".py"):
+        # A module beside the user's work; what is installed comes first.
+        sys.path.append(os.getcwd())
+        try:
+            return importlib.import_module(place)
+        finally:
+            sys.path.remove(os.getcwd())
+    path = Path(place).resolve()
+    name = f"cluttergen_format_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{place} is no Python file")
+    module = importlib.util.module_from_spec(spec)
+    # Dataclasses of the file look for their module there.
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def own_record(format: Format) -> dict[str, Any]:
+    """What a manifest says of a user's own format: where its writer of scenes is from; {} of others.
+
+    `defined_in` names module and function, `file` the file without its folder, and `sha256` its content;
+    the last two are left out where there is no file.
+    """
+    if not is_own(format):
+        return {}
+    writer: Any = format.write_scene
+    while isinstance(writer, partial):
+        writer = writer.func
+    writer = writer if inspect.isroutine(writer) else type(writer)
+    record = {"defined_in": f"{writer.__module__}:{writer.__qualname__}"}
+    try:
+        file = Path(inspect.getsourcefile(writer) or "")
+        record |= {"file": file.name, "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
+    except (TypeError, OSError):
+        pass
+    return {"own_format": record}

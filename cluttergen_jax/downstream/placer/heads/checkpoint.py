@@ -7,8 +7,6 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from cluttergen_jax.downstream.fitting import Learner, blank_params, config_of, embedded_checkpoints
-from cluttergen_jax.downstream.placer.heads.mixture import MixtureConfig, MixtureHead
-from cluttergen_jax.downstream.placer.heads.regression import RegressionConfig, RegressionHead
 from cluttergen_jax.downstream.placer.heads.scored import ScoredConfig, ScoredHead
 from cluttergen_jax.downstream.placer.query import Example, Placer
 from cluttergen_jax.errors import PoolError
@@ -33,10 +31,9 @@ KIND = "placer"
 """Of a checkpoint, as its record names it."""
 HEADS: Mapping[str, tuple[Any, Any]] = {
     "scored": (ScoredHead, ScoredConfig),
-    "mixture": (MixtureHead, MixtureConfig),
-    "regression": (RegressionHead, RegressionConfig),
 }
 """By kind: what learns, and the sizes of its network."""
+REMOVED_HEADS = ("mixture", "regression")
 _HINT = "the folder `placer` of a run of `cluttergen placer train`"
 
 
@@ -58,6 +55,12 @@ def head_of(record: Mapping[str, Any], path: Path, wanted: str | None = None) ->
         kind = record.get("kind", "pose")
         raise PoolError(f"{path} holds a network of kind {kind!r}, and no placer", hint=_HINT)
     name = str(record.get("head"))
+    if name in REMOVED_HEADS:
+        raise PoolError(
+            f"{path} holds a placer with the head {name!r}, which was removed after version 0.1.0",
+            wanted or ", ".join(HEADS),
+            "a placer with the head 'scored', trained on the same pairs: `cluttergen placer train`",
+        )
     if name not in HEADS or wanted not in (None, name):
         raise PoolError(
             f"{path} holds a placer with the head {name!r}", wanted or ", ".join(HEADS), _HINT

@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from cluttergen_jax.config import MAX_PAIRS, check_workers
+from cluttergen_jax.config import check_workers
 from cluttergen_jax.downstream.columns import (
     FAR,
     MOST_PIXELS,
@@ -31,6 +31,7 @@ from cluttergen_jax.downstream.placer.scene_cameras import (
     depth_of,
 )
 from cluttergen_jax.downstream.samples import SPLITS, SampleFormat, SampleSet
+from cluttergen_jax.downstream.words import MAX_PAIRS
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.geometry import product, rotation_matrix

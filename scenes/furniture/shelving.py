@@ -10,10 +10,11 @@ import numpy as np
 from manifold3d import Manifold
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.modeller import joinery
+from cluttergen_jax.assets.modeller import bins
 from cluttergen_jax.assets.modeller import solids as cad
 from cluttergen_jax.assets.modeller.draw import Rng, shade, vary
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, Surface
+from scenes.furniture import joinery
 
 _Slab = tuple[tuple[float, float, float], tuple[float, float], float]
 """Size, place and lower height of a board."""
@@ -27,7 +28,7 @@ def bookcase(rng: Rng = None) -> SupportAsset:
     sheet = 0.018
     back = 0.008
     plinth = 0.06
-    wood = shade(rng, (joinery.WOODS[3], *joinery.WOODS))
+    wood = shade(rng, (bins.WOODS[3], *bins.WOODS))
     inner = width - 2 * sheet
     front = depth - back
     shelves: list[_Slab] = []
@@ -46,7 +47,7 @@ def bookcase(rng: Rng = None) -> SupportAsset:
             _on("top", lid),
             *(_on(f"shelf_{k}", each, pitch - sheet) for k, each in enumerate(shelves, 1)),
         ],
-        [joinery.slab(*each) for each in (lid, *shelves, *panels)],
+        [bins.slab(*each) for each in (lid, *shelves, *panels)],
         [
             *((joinery.board(*each), wood) for each in (lid, *shelves)),
             *((joinery.board(*each), joinery.darker(wood, 0.93)) for each in panels[:2]),
@@ -63,7 +64,7 @@ def rack(rng: Rng = None) -> SupportAsset:
     low = vary(rng, 0.34, 0.05)
     sheet = 0.022
     post = 0.03
-    wood = shade(rng, (joinery.WOODS[1], *joinery.WOODS))
+    wood = shade(rng, (bins.WOODS[1], *bins.WOODS))
     paint = shade(rng, joinery.METALS, 0.02)
     # The lower board lies between the posts, so that none of them stands on it.
     boards: list[_Slab] = [
@@ -80,7 +81,7 @@ def rack(rng: Rng = None) -> SupportAsset:
     return _furniture(
         "rack",
         [_on("top", boards[0]), _on("shelf_1", boards[1], top - sheet - low)],
-        [joinery.slab(*each) for each in (*boards, *posts, *rails)],
+        [bins.slab(*each) for each in (*boards, *posts, *rails)],
         [
             *((joinery.board(*each, 0.004), wood) for each in boards),
             (cad.union(*(cad.box(*each) for each in (*posts, *rails))), paint),
@@ -98,7 +99,7 @@ def kitchen_drawer(rng: Rng = None) -> SupportAsset:
     floor = 0.012
     sheet = 0.035
     reach = 0.44
-    wood = shade(rng, joinery.WOODS)
+    wood = shade(rng, bins.WOODS)
     paint = shade(rng, joinery.PAINTS, 0.03)
     back = reach / 2
     carcass: _Slab = ((width, depth, height - sheet - 0.08), (0.0, back), 0.08)
@@ -134,12 +135,12 @@ def kitchen_drawer(rng: Rng = None) -> SupportAsset:
     return _furniture(
         "kitchen_drawer",
         [_on("drawer", inside), _on("top", lid)],
-        [joinery.slab(*each) for each in (carcass, lid, bottom, *walls, front, *doors)],
+        [bins.slab(*each) for each in (carcass, lid, bottom, *walls, front, *doors)],
         [
             (joinery.board(*lid, 0.006), wood),
             (cad.box(*carcass), joinery.darker(paint, 0.95)),
             (cad.box((width - 0.02, depth - 0.06, 0.08), (0.0, back + 0.02)), joinery.DARK_STEEL),
-            (cad.union(*(cad.box(*each) for each in (bottom, *walls))), joinery.WOODS[3]),
+            (cad.union(*(cad.box(*each) for each in (bottom, *walls))), bins.WOODS[3]),
             (cad.union(*(joinery.board(*each, 0.003) for each in (front, *doors))), paint),
             (cad.union(*handles), joinery.METALS[1]),
         ],
@@ -187,7 +188,7 @@ def dish_rack(rng: Rng = None) -> SupportAsset:
     return _furniture(
         "dish_rack",
         [Surface("tray", (0.0, 0.0, top), region, _ring(region))],
-        [joinery.slab(*each) for each in (tray, *walls, *posts, *pegs, *feet)],
+        [bins.slab(*each) for each in (tray, *walls, *posts, *pegs, *feet)],
         [
             (joinery.board(*tray), plastic),
             (cad.union(*(cad.box(*each) for each in feet)), joinery.DARK_STEEL),
@@ -202,7 +203,7 @@ def tilted_board(rng: Rng, degrees: int) -> SupportAsset:
     depth = vary(rng, 0.55, 0.08)
     height = vary(rng, 0.72, 0.04)
     sheet = 0.024
-    wood = shade(rng, (joinery.WOODS[3], *joinery.WOODS))
+    wood = shade(rng, (bins.WOODS[3], *bins.WOODS))
     paint = shade(rng, joinery.METALS, 0.02)
     slope = math.radians(degrees)
     turn = (math.cos(slope / 2), math.sin(slope / 2), 0.0, 0.0)
@@ -227,7 +228,7 @@ def tilted_board(rng: Rng, degrees: int) -> SupportAsset:
     support = _furniture(
         f"tilted_board_{degrees}",
         [surface],
-        [joinery.slab(*each) for each in (*legs, *rails)],
+        [bins.slab(*each) for each in (*legs, *rails)],
         [
             (drawn.translate((0.0, 0.0, height)), wood),
             (cad.union(*(cad.box(*each) for each in (*legs, *rails))), paint),
@@ -242,7 +243,7 @@ def steps(rng: Rng = None) -> SupportAsset:
     width = vary(rng, 0.60, 0.1)
     tread = vary(rng, 0.26, 0.08)
     rise = vary(rng, 0.17, 0.08)
-    wood = shade(rng, (joinery.WOODS[1], *joinery.WOODS))
+    wood = shade(rng, (bins.WOODS[1], *bins.WOODS))
     nosing = 0.022
     treads: list[_Slab] = []
     blocks: list[_Slab] = []
@@ -253,7 +254,7 @@ def steps(rng: Rng = None) -> SupportAsset:
     return _furniture(
         "steps",
         [_on("top", treads[0]), *(_on(f"step_{k}", each) for k, each in enumerate(treads[1:], 1))],
-        [joinery.slab(*each) for each in (*treads, *blocks)],
+        [bins.slab(*each) for each in (*treads, *blocks)],
         [
             *((joinery.board(*each, 0.004), wood) for each in treads),
             (cad.union(*(cad.box(*each) for each in blocks)), joinery.darker(wood, 0.82)),
@@ -289,5 +290,5 @@ def _furniture(
     label: str = "",
 ) -> SupportAsset:
     first = surfaces[0]
-    table = joinery.table(name, first.position[2], first.region, boxes, pieces, label)
+    table = bins.table(name, first.position[2], first.region, boxes, pieces, label)
     return replace(table, named=tuple(surfaces))

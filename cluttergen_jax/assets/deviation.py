@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from cluttergen_jax.assets.cloud import sample_exposed, sample_solid
 from cluttergen_jax.assets.config import ALARM_FACTOR
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
-from cluttergen_jax.assets.parts import hull_of, sound_points
+from cluttergen_jax.assets.parts import heights_over, hull_of, sound_points
 from cluttergen_jax.assets.solid import Solid
 from cluttergen_jax.assets.voxels import Voxels
 
@@ -47,8 +47,7 @@ def is_within_parts(points: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarr
         near = np.flatnonzero(
             ((points >= hull.min_bound) & (points <= hull.max_bound)).all(1) & ~inside
         )
-        height = points[near] @ hull.equations[:, :3].T + hull.equations[:, 3]
-        inside[near] = height.max(1, initial=-np.inf) < 0
+        inside[near] = heights_over(points[near], hull).max(1, initial=-np.inf) < 0
     return inside
 
 

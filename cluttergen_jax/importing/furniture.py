@@ -1,4 +1,4 @@
-"""Which way up a piece of furniture stands: by the axis that its file or format states, or by its shape.
+"""Which bodies of a file are a piece of furniture, and which way up it stands: as stated, or by its shape.
 
 A coarse grid of cells is looked at along all six axes. A level is a board, or another face, over which there
 is free air, and a rectangle of 15 cm by 15 cm. Every direction gets a score: the area of the largest
@@ -15,8 +15,9 @@ score is higher by a quarter than those along other axes.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy import ndimage
@@ -27,10 +28,92 @@ from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.shape import Shape
 from cluttergen_jax.assets.support_map import largest_rectangle
 from cluttergen_jax.assets.voxels import Voxels
-from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, read_shape
+from cluttergen_jax.errors import AssetError, first_names
+from cluttergen_jax.importing.limited import call_limited
+from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, find_sources, read_shape
 from cluttergen_jax.importing.readers.read import MAX_FURNITURE, MAX_UNSTATED, MIN_FURNITURE
-from cluttergen_jax.importing.readers.source import AXES, own_up, states_unit, turn_of
+from cluttergen_jax.importing.readers.source import AXES, make_source, own_up, states_unit, turn_of
+from cluttergen_jax.importing.scenery import MIN_CHAIN, BodyFacts, world_facts
 from cluttergen_jax.importing.surfaces import find_surfaces
+
+_GLTF = (".glb", ".gltf")
+_MOST_NAMED = 8
+
+
+def find_furniture(path: str | Path) -> tuple[ObjectFile, list[str]]:
+    """The one piece of furniture that a path means.
+
+    Args:
+      path: a file, a folder that holds one, or FILE#BODY: a body of an MJCF file, a link of a URDF, a model
+        or link of an SDF file, a node of a glTF file, each with all that hangs on it.
+
+    Returns:
+      It, and in words which bodies are taken as one, and which are left out.
+
+    Raises:
+      AssetError: nothing is there, or it holds several files of furniture, or a body of a file without any.
+    """
+    file, body = _split(path)
+    sources = find_sources(file)
+    places = list(dict.fromkeys(source.path for source in sources))
+    if len(places) > 1:
+        names = first_names([str(each.relative_to(file)) for each in places], _MOST_NAMED, "")
+        raise AssetError(
+            f"{file} holds {len(places)} pieces of furniture ({names})", "one", str(places[0])
+        )
+    first = sources[0]
+    if body:
+        if first.kind == "mesh" and first.path.suffix.lower() not in _GLTF:
+            raise AssetError(
+                f"{str(path)!r}: {first.path.suffix[1:].upper()} has no bodies",
+                "a body of an MJCF, URDF, SDF or glTF file",
+                str(file),
+            )
+        return replace(make_source(first.path, first.kind, body), body=body), []
+    if len(sources) == 1:
+        return first, []
+    facts = call_limited(first.path, world_facts, first.path) if first.kind == "mjcf" else []
+    taken, notes = _furniture_of([source.body for source in sources], facts)
+    named = first_names(taken, _MOST_NAMED)
+    said = (
+        f"taken as one piece of furniture: {named} ({first.path.name}#{taken[0]} takes that alone)"
+    )
+    return replace(make_source(first.path, first.kind), bodies=tuple(taken)), [said, *notes]
+
+
+def _split(path: str | Path) -> tuple[Path, str]:
+    """A file and the body behind "#"; a file whose own name has that sign goes before."""
+    if Path(path).exists():
+        return Path(path), ""
+    text = str(path)
+    places = [k for k, letter in enumerate(text) if letter == "#" and Path(text[:k]).exists()]
+    return (Path(text[: places[0]]), text[places[0] + 1 :]) if places else (Path(path), "")
+
+
+def _furniture_of(bodies: Sequence[str], facts: Sequence[BodyFacts]) -> tuple[list[str], list[str]]:
+    """Those that stand fixed in a world, all if none does; and in words what is left out."""
+    if len(facts) != len(bodies):
+        return list(bodies), []
+    taken: list[str] = []
+    left_out: dict[str, list[str]] = {}
+    for body, each in zip(bodies, facts, strict=True):
+        reason = _why_no_furniture(each)
+        (left_out.setdefault(reason, []) if reason else taken).append(body)
+    if not taken:
+        return list(bodies), []
+    return taken, [
+        f"left out, {reason}: {first_names(names, _MOST_NAMED)}"
+        for reason, names in left_out.items()
+    ]
+
+
+def _why_no_furniture(facts: BodyFacts) -> str:
+    if facts.is_mocap:
+        return "as a program moves them (mocap)"
+    if facts.chain >= MIN_CHAIN:
+        return "as they have chains of joints, as robots have"
+    return "as they move freely" if facts.is_free else ""
+
 
 _CELLS = 96
 _AIR = 0.15
@@ -57,7 +140,7 @@ _LEG = 0.3
 
 
 @dataclass(frozen=True)
-class Look:
+class UprightLook:
     """How furniture looks with one direction up.
 
     Attributes:
@@ -96,10 +179,11 @@ def read_upright(
     axis, notes = choose_up(looks, stated.axis, "default" not in stated.reason)
     if axis != stated.axis:
         shape = read_shape(source, replace(options, up=axis), joints, largest, MIN_FURNITURE)
-    return shape, [f"{note} ({stated.axis} is up by {_who(stated.reason)})" for note in notes]
+    reason = stated.reason.removeprefix("by ")
+    return shape, [f"{note} ({stated.axis} is up by {reason})" for note in notes]
 
 
-def _look_closer(mesh: Mesh, look: Look) -> Look:
+def _look_closer(mesh: Mesh, look: UprightLook) -> UprightLook:
     """Of furniture whose surfaces slope, and so are no levels of a grid."""
     sides = [2 * np.sort(each.surface.region.half_extents) for each in find_surfaces(mesh, 0.0)[0]]
     wide = [each for each in sides if each[0] >= NARROW_SURFACE]
@@ -111,11 +195,9 @@ def _look_closer(mesh: Mesh, look: Look) -> Look:
     )
 
 
-def _who(reason: str) -> str:
-    return reason.removeprefix("by ")
-
-
-def choose_up(looks: Mapping[str, Look], stated: str, is_stated: bool) -> tuple[str, list[str]]:
+def choose_up(
+    looks: Mapping[str, UprightLook], stated: str, is_stated: bool
+) -> tuple[str, list[str]]:
     """The axis that is up, and in words what is to be said of that.
 
     Args:
@@ -127,7 +209,9 @@ def choose_up(looks: Mapping[str, Look], stated: str, is_stated: bool) -> tuple[
     if not is_stated and max(looks[axis].num_levels for axis in _USUAL):
         others = [axis for axis in _USUAL if axis != stated]
     ranked = sorted(others, key=lambda axis: -_rank(looks[axis], axis))
-    best = _opposite(stated) if own.is_on_its_top else ranked[0]
+    best = ranked[0]
+    if own.is_on_its_top:
+        best = stated[1:] if stated.startswith("-") else f"-{stated}"
     other = looks[best]
     gain = math.inf if own.score == 0 else other.score / own.score
     is_opposite = best.strip("-") == stated.strip("-")
@@ -159,23 +243,19 @@ def choose_up(looks: Mapping[str, Look], stated: str, is_stated: bool) -> tuple[
     return stated, []
 
 
-def _largest(look: Look) -> str:
+def _largest(look: UprightLook) -> str:
     if look.num_levels == 0:
         return "no surface of 15 cm by 15 cm"
     return f"its largest surface is about {look.sides[0]:.2f} x {look.sides[1]:.2f} m"
 
 
-def _opposite(axis: str) -> str:
-    return axis[1:] if axis.startswith("-") else f"-{axis}"
-
-
-def _rank(look: Look, axis: str) -> float:
+def _rank(look: UprightLook, axis: str) -> float:
     """The score, nothing for what lies on its top, less for axes that no program has up; z before y."""
     habit = 0.7 if axis.startswith("-") else 1.0 + 0.01 * (axis == "z") + 0.005 * (axis == "y")
     return 0.0 if look.is_on_its_top else look.score * habit
 
 
-def looks_of(mesh: Mesh, up: str) -> dict[str, Look]:
+def looks_of(mesh: Mesh, up: str) -> dict[str, UprightLook]:
     """How furniture looks with each axis of its file up.
 
     Args:
@@ -196,7 +276,7 @@ def looks_of(mesh: Mesh, up: str) -> dict[str, Look]:
     return found
 
 
-def _look(solid: np.ndarray, outside: np.ndarray, pitch: float) -> Look:
+def _look(solid: np.ndarray, outside: np.ndarray, pitch: float) -> UprightLook:
     """How it looks from a grid bool[X, Y, Z] whose last axis is up."""
     levels = _levels(solid, outside, pitch)
     used = np.flatnonzero(solid.any((0, 1)))
@@ -219,7 +299,7 @@ def _look(solid: np.ndarray, outside: np.ndarray, pitch: float) -> Look:
     sides = (0.0, 0.0) if top is None else (min(top[1:3]) * pitch, max(top[1:3]) * pitch)
     area = sum(x * y for _, x, y, _ in levels) * pitch**2
     more = 1 + _PER_LEVEL * (min(len(levels), _MOST_LEVELS) - 1)
-    return Look(
+    return UprightLook(
         sides,
         area * more * (2.0 if is_on_legs else 1.0),
         len(levels),

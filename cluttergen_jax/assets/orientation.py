@@ -9,12 +9,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.cloud import sample_faces
-from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.mesh import Mesh, connected, shared_edges
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.solid import Solid
 
@@ -125,32 +123,21 @@ def _patches(mesh: Mesh) -> _Patches:
     corners = place.reshape(-1)[mesh.faces]
     start = corners.ravel()
     end = np.roll(corners, -1, axis=1).ravel()
-    low = np.minimum(start, end).astype(np.int64)
-    high = np.maximum(start, end)
-    _, edge, count = np.unique(
-        low * (corners.max() + 1) + high, return_inverse=True, return_counts=True
-    )
-    order = np.argsort(edge.reshape(-1), kind="stable")
-    order = order[count[edge.reshape(-1)[order]] == 2]
-    first = order[::2]
-    second = order[1::2]
-    a = first // 3
-    b = second // 3
+    shared, is_rim = shared_edges(corners)
     # Two triangles that face alike pass their common edge in opposite directions.
-    is_alike = (start < end)[first] != (start < end)[second]
-    rows = np.concatenate([a, a + num])
-    columns = np.concatenate([np.where(is_alike, b, b + num), np.where(is_alike, b + num, b)])
-    graph = coo_array((np.ones(len(rows), bool), (rows, columns)), shape=(2 * num, 2 * num))
-    _, group = connected_components(graph, directed=False)
-    as_is = group[:num]
-    turned = group[num:]
+    is_unlike = np.equal(*(start < end)[shared.T])
+    a, b = shared.T // 3
+    pairs = np.concatenate(
+        [np.stack([a, b + num * is_unlike], 1), np.stack([a + num, b + num * ~is_unlike], 1)]
+    )
+    as_is, turned = connected(pairs, 2 * num).reshape(2, num)
     _, label = np.unique(np.minimum(as_is, turned), return_inverse=True)
     label = label.reshape(-1)
     total = int(label.max()) + 1
     is_one_sided = np.zeros(total, bool)
     is_one_sided[label[as_is == turned]] = True
     is_turned = turned < as_is
-    rim = np.flatnonzero(count[edge.reshape(-1)] != 2)
+    rim = np.flatnonzero(is_rim)
     area = np.bincount(label, _directions(mesh)[1], total)
     ends = np.where(is_turned[rim // 3], [end[rim], start[rim]], [start[rim], end[rim]])
     points = np.empty((int(corners.max()) + 1, 3))
@@ -165,8 +152,8 @@ def _hole_areas(points: np.ndarray, ends: np.ndarray, label: np.ndarray, count: 
     Args:
       points: f64[V, 3]; ends: i[2, E], from which point to which each edge goes; label: i[E], its patch.
     """
-    graph = coo_array((np.ones(ends.shape[1], bool), tuple(ends)), shape=(len(points), len(points)))
-    num_loops, loop_of = connected_components(graph, directed=False)
+    loop_of = connected(ends.T, len(points))
+    num_loops = int(loop_of.max()) + 1
     loop = label * num_loops + loop_of[ends[0]]
     loops, which = np.unique(loop, return_inverse=True)
     start = points[ends[0]]

@@ -14,9 +14,11 @@ from functools import partial
 import numpy as np
 
 from cluttergen_jax.assets.modeller.bins import open_bin, tote, tray
-from cluttergen_jax.assets.modeller.desks import drawer_desk, l_desk, shelf_desk
 from cluttergen_jax.assets.modeller.draw import Rng, vary
-from cluttergen_jax.assets.modeller.shelving import (
+from cluttergen_jax.assets.support import SupportAsset, cuboid_table
+from cluttergen_jax.errors import ConfigError, PoolError
+from scenes.furniture.desks import drawer_desk, l_desk, shelf_desk
+from scenes.furniture.shelving import (
     bookcase,
     dish_rack,
     kitchen_drawer,
@@ -24,7 +26,7 @@ from cluttergen_jax.assets.modeller.shelving import (
     steps,
     tilted_board,
 )
-from cluttergen_jax.assets.modeller.tables import (
+from scenes.furniture.tables import (
     bar_table,
     coffee_table,
     oval_table,
@@ -33,8 +35,6 @@ from cluttergen_jax.assets.modeller.tables import (
     tray_table,
     trestle_table,
 )
-from cluttergen_jax.assets.support import SupportAsset, cuboid_table
-from cluttergen_jax.errors import ConfigError, PoolError
 
 CUBOID = "table"
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from manifold3d import Manifold
 
-from cluttergen_jax.assets.modeller import joinery
+from cluttergen_jax.assets.modeller import bins
 from cluttergen_jax.assets.modeller import solids as cad
 from cluttergen_jax.assets.modeller.draw import Rng, shade, vary
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset
+from scenes.furniture import joinery
 
 _ROUND_CORNER = 1 - np.sqrt(0.5).item()
 
@@ -19,7 +20,7 @@ def round_table(rng: Rng = None) -> SupportAsset:
     top = vary(rng, 0.74, 0.03)
     thickness = vary(rng, 0.028)
     low = top - thickness
-    wood = shade(rng, joinery.WOODS)
+    wood = shade(rng, bins.WOODS)
     head = 0.46 * radius
     foot = 0.62 * radius
     feet = joinery.mirror_corners(foot, foot)
@@ -30,14 +31,14 @@ def round_table(rng: Rng = None) -> SupportAsset:
     ]
     apron = _ring(0.70 * radius, 0.66 * radius, low - 0.05, low)
     middle = 0.5 * (head + foot)
-    return joinery.table(
+    return bins.table(
         "round_table",
         top,
         joinery.oval_region(radius, radius),
         [
             *joinery.oval_boxes(radius, radius, low, top),
             *(
-                joinery.slab((0.04, 0.04, low), place, 0.0)
+                bins.slab((0.04, 0.04, low), place, 0.0)
                 for place in joinery.mirror_corners(middle, middle)
             ),
         ],
@@ -55,7 +56,7 @@ def oval_table(rng: Rng = None) -> SupportAsset:
     top = vary(rng, 0.745, 0.03)
     thickness = vary(rng, 0.030)
     low = top - thickness
-    wood = shade(rng, joinery.WOODS[1:])
+    wood = shade(rng, bins.WOODS[1:])
     x = 0.48 * rx
     reach = 0.66 * ry
     solids = []
@@ -79,13 +80,13 @@ def oval_table(rng: Rng = None) -> SupportAsset:
         yoke = joinery.board((0.06, 1.25 * ry, 0.05), (sign * x, 0), low - 0.05, 0.008)
         solids += [sole, column, yoke]
         boxes += [
-            joinery.slab((0.07, 2 * reach, 0.05), (sign * x, 0), 0.0),
-            joinery.slab((0.075, 0.16, low - 0.10), (sign * x, 0), 0.05),
-            joinery.slab((0.06, 1.25 * ry, 0.05), (sign * x, 0), low - 0.05),
+            bins.slab((0.07, 2 * reach, 0.05), (sign * x, 0), 0.0),
+            bins.slab((0.075, 0.16, low - 0.10), (sign * x, 0), 0.05),
+            bins.slab((0.06, 1.25 * ry, 0.05), (sign * x, 0), low - 0.05),
         ]
     solids.append(cad.box((2 * x, 0.03, 0.09), z=0.22))
-    boxes.append(joinery.slab((2 * x - 0.075, 0.03, 0.09), (0, 0), 0.22))
-    return joinery.table(
+    boxes.append(bins.slab((2 * x - 0.075, 0.03, 0.09), (0, 0), 0.22))
+    return bins.table(
         "oval_table",
         top,
         joinery.oval_region(rx, ry),
@@ -117,19 +118,19 @@ def bar_table(rng: Rng = None) -> SupportAsset:
         cad.box((0.012, 1.2 * base, 0.010), z=0.301),
     ]
     core = 0.8 * base
-    return joinery.table(
+    return bins.table(
         "bar_table",
         top,
         joinery.oval_region(radius, radius),
         [
             *joinery.oval_boxes(radius, radius, low, top),
-            joinery.slab((2 * core, 2 * core, 0.03), (0, 0), 0.0),
-            joinery.slab((0.066, 0.066, low - 0.03), (0, 0), 0.03),
+            bins.slab((2 * core, 2 * core, 0.03), (0, 0), 0.0),
+            bins.slab((0.066, 0.066, low - 0.03), (0, 0), 0.03),
         ],
         [
             (
                 joinery.plate(cad.ellipse(0.992 * radius, 0.992 * radius, 96), low, top, 0.002),
-                shade(rng, joinery.WOODS[2:]),
+                shade(rng, bins.WOODS[2:]),
             ),
             (_ring(radius, 0.988 * radius, low + 0.002, top - 0.003), joinery.DARK_STEEL),
             (cad.union(foot, column, collar, rail, *spokes), steel),
@@ -145,7 +146,7 @@ def coffee_table(rng: Rng = None) -> SupportAsset:
     radius = 0.05
     low = top - 0.034
     side = 0.05
-    wood = shade(rng, joinery.WOODS[1:])
+    wood = shade(rng, bins.WOODS[1:])
     paint = shade(rng, joinery.PAINTS, 0.03)
     x = width / 2 - 0.075
     y = depth / 2 - 0.075
@@ -162,17 +163,14 @@ def coffee_table(rng: Rng = None) -> SupportAsset:
         joinery.board((2 * x + 0.02, 0.78 * pitch, 0.018), (0, row), shelf_low) for row in rows
     ]
     cut = radius * _ROUND_CORNER
-    return joinery.table(
+    return bins.table(
         "coffee_table",
         top,
         Rectangle((0.0, 0.0), (width / 2 - cut, depth / 2 - cut)),
         [
             *joinery.rounded_boxes(width, depth, radius, low, top),
-            *(
-                joinery.slab((side, side, low), place, 0.0)
-                for place in joinery.mirror_corners(x, y)
-            ),
-            joinery.slab((2 * x - side, 2 * y - side, shelf_high - shelf_low), (0, 0), shelf_low),
+            *(bins.slab((side, side, low), place, 0.0) for place in joinery.mirror_corners(x, y)),
+            bins.slab((2 * x - side, 2 * y - side, shelf_high - shelf_low), (0, 0), shelf_low),
         ],
         [
             (joinery.plate(cad.rounded_rect(width, depth, radius, 10), low, top, 0.006), wood),
@@ -200,7 +198,7 @@ def tray_table(rng: Rng = None) -> SupportAsset:
     rim = vary(rng, 0.060, 0.1)
     side = 0.032
     low = top - floor
-    wood = shade(rng, (joinery.WOODS[2], *joinery.WOODS))
+    wood = shade(rng, (bins.WOODS[2], *bins.WOODS))
     paint = shade(rng, (joinery.METALS[0], *joinery.PAINTS), 0.02)
     inner_x = width / 2 - wall
     inner_y = depth / 2 - wall
@@ -225,24 +223,21 @@ def tray_table(rng: Rng = None) -> SupportAsset:
     cheek = inner_y - grip / 2
     for s in (-1, 1):
         end = s * (inner_x + wall / 2)
-        ends.append(joinery.slab((wall, 2 * inner_y, sill), (end, 0), top))
-        ends.append(joinery.slab((wall, 2 * inner_y, bar_height), (end, 0), top + rim - bar_height))
+        ends.append(bins.slab((wall, 2 * inner_y, sill), (end, 0), top))
+        ends.append(bins.slab((wall, 2 * inner_y, bar_height), (end, 0), top + rim - bar_height))
         ends += [
-            joinery.slab(
+            bins.slab(
                 (wall, cheek, rim - sill - bar_height), (end, t * (inner_y - cheek / 2)), top + sill
             )
             for t in (-1, 1)
         ]
-    return joinery.table(
+    return bins.table(
         "tray_table",
         top,
         Rectangle((0.0, 0.0), (inner_x, inner_y)),
         [
-            joinery.slab((width, depth, floor), (0, 0), low),
-            *(
-                joinery.slab((width, wall, rim), (0, s * (inner_y + wall / 2)), top)
-                for s in (-1, 1)
-            ),
+            bins.slab((width, depth, floor), (0, 0), low),
+            *(bins.slab((width, wall, rim), (0, s * (inner_y + wall / 2)), top) for s in (-1, 1)),
             *ends,
             *leg_boxes,
         ],
@@ -256,7 +251,7 @@ def trestle_table(rng: Rng = None) -> SupportAsset:
     depth = vary(rng, 0.76, 0.08)
     top = vary(rng, 0.74, 0.02)
     low = top - 0.032
-    wood = shade(rng, (joinery.WOODS[3], *joinery.WOODS))
+    wood = shade(rng, (bins.WOODS[3], *bins.WOODS))
     _, boards = joinery.planks(rng, width, [depth / 4] * 4, 0.0, -depth / 2, low, top, wood)
     x = 0.34 * width
     foot = 0.42 * depth
@@ -266,9 +261,9 @@ def trestle_table(rng: Rng = None) -> SupportAsset:
     boxes = []
     for sx in (-1, 1):
         solids.append(joinery.board((0.06, 0.86 * depth, 0.07), (sx * x, 0), beam, 0.004))
-        boxes.append(joinery.slab((0.06, 0.86 * depth, 0.07), (sx * x, 0), beam))
+        boxes.append(bins.slab((0.06, 0.86 * depth, 0.07), (sx * x, 0), beam))
         solids.append(cad.box((0.03, 1.5 * foot, 0.05), (sx * x, 0), 0.19))
-        boxes.append(joinery.slab((0.03, foot + head - 0.05, 0.05), (sx * x, 0), 0.19))
+        boxes.append(bins.slab((0.03, foot + head - 0.05, 0.05), (sx * x, 0), 0.19))
         for sy in (-1, 1):
             for sz in (-1, 1):
                 spread = sx * x + sz * 0.10
@@ -281,16 +276,16 @@ def trestle_table(rng: Rng = None) -> SupportAsset:
                     )
                 )
                 boxes.append(
-                    joinery.slab(
+                    bins.slab(
                         (0.035, 0.05, beam), (sx * x + sz * 0.07, sy * (foot + head) / 2), 0.0
                     )
                 )
-    return joinery.table(
+    return bins.table(
         "trestle_table",
         top,
         Rectangle((0.0, 0.0), (width / 2, depth / 2)),
-        [joinery.slab((width, depth, top - low), (0, 0), low), *boxes],
-        [*boards, (cad.union(*solids), shade(rng, (joinery.WOODS[1], *joinery.PAINTS)))],
+        [bins.slab((width, depth, top - low), (0, 0), low), *boxes],
+        [*boards, (cad.union(*solids), shade(rng, (bins.WOODS[1], *joinery.PAINTS)))],
     )
 
 
@@ -303,7 +298,7 @@ def picnic_table(rng: Rng = None) -> SupportAsset:
     gap = 0.008
     depth = 5 * plank + 4 * gap
     low = top - thickness
-    wood = shade(rng, (joinery.WOODS[1], *joinery.WOODS))
+    wood = shade(rng, (bins.WOODS[1], *bins.WOODS))
     boxes, pieces = joinery.planks(rng, width, [plank] * 5, gap, -depth / 2, low, top, wood)
     seat = 0.60 * top
     seat_depth = 2 * 0.130 + gap
@@ -323,20 +318,20 @@ def picnic_table(rng: Rng = None) -> SupportAsset:
             ((0.04, 0.92 * depth, 0.07), (sx * x, 0.0), low - 0.07),
         )
         solids += [joinery.board(*beam, 0.004) for beam in beams]
-        frame += [joinery.slab(*beam) for beam in beams]
+        frame += [bins.slab(*beam) for beam in beams]
         for sy in (-1, 1):
             foot = sy * (near + 0.02)
             head = sy * 0.30 * depth
             place = sx * (x - 0.04)
             solids.append(joinery.bar((place, foot, 0.0), (place, head, low), 0.04, 0.10))
             frame.append(
-                joinery.slab(
+                bins.slab(
                     (0.04, 0.10, under - 0.09),
                     (place, (foot + head) / 2 + 0.2 * (foot - head)),
                     0.0,
                 )
             )
-    return joinery.table(
+    return bins.table(
         "picnic_table",
         top,
         Rectangle((0.0, 0.0), (width / 2, depth / 2)),

@@ -11,10 +11,10 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from cluttergen_jax.assets.deviation import is_within_parts
 from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.assets.mjcf import add_part, new_spec
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.quality.deviation import is_within_parts
 from cluttergen_jax.assets.shape import Cavity
 from cluttergen_jax.assets.solid import Solid
 from cluttergen_jax.assets.voxels import Voxels
@@ -29,16 +29,16 @@ _BALL_SECONDS = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class Hollow:
+class HollowSpace:
     """A cavity as points of the space inside."""
 
     points: np.ndarray  # f64[N, 3], a cubic grid of points inside, metres.
     pitch: float  # The grid's step, metres.
     mouth: np.ndarray  # f64[3], in the opening's plane, where a ball can be dropped in.
 
-    def transform(self, rotation: np.ndarray, translation: np.ndarray) -> Hollow:
+    def transform(self, rotation: np.ndarray, translation: np.ndarray) -> HollowSpace:
         """The same cavity with every point p at rotation @ p + translation."""
-        return Hollow(
+        return HollowSpace(
             self.points @ rotation.T + translation, self.pitch, rotation @ self.mouth + translation
         )
 
@@ -47,15 +47,15 @@ class Hollow:
         return float(is_within_parts(self.points, parts).mean())
 
 
-def known_hollow(cavity: Cavity) -> Hollow:
+def known_hollow(cavity: Cavity) -> HollowSpace:
     """The cavity that a shape's author has given."""
     voxels = Voxels.of(cavity.solid, 40)
-    return Hollow(
+    return HollowSpace(
         voxels.centers(voxels.solid & ~voxels.surface), voxels.pitch, np.array(cavity.mouth)
     )
 
 
-def find_hollow(solid: Solid) -> Hollow | None:
+def find_hollow(solid: Solid) -> HollowSpace | None:
     """The largest hollow of an upright solid that would hold water, if a ball of 10 mm can enter it.
 
     It has to be 15 mm deep, and a fifth as deep as it is wide: plates and lids of cans are not hollow.
@@ -77,11 +77,11 @@ def find_hollow(solid: Solid) -> Hollow | None:
     ):
         return None
     mouth = voxels.origin + np.array([*middle, levels[-1]]) * voxels.pitch
-    return Hollow(voxels.centers(cells), voxels.pitch, mouth)
+    return HollowSpace(voxels.centers(cells), voxels.pitch, mouth)
 
 
 @lru_cache(maxsize=256)
-def hollow_of(asset: ObjectAsset) -> Hollow | None:
+def hollow_of(asset: ObjectAsset) -> HollowSpace | None:
     """The hollow that an object's parts leave open (`find_hollow`), or None if it has none."""
     if len(asset.parts) < 2:
         return None
@@ -89,7 +89,7 @@ def hollow_of(asset: ObjectAsset) -> Hollow | None:
     return find_hollow(Solid(mesh, True, mesh))
 
 
-def holds_ball(parts: Sequence[np.ndarray], hollow: Hollow) -> bool:
+def holds_ball(parts: Sequence[np.ndarray], hollow: HollowSpace) -> bool:
     """Whether a 10 mm ball let go just above the mouth comes to rest in the cavity of the fixed parts."""
     spec = new_spec(StabilityConfig().timestep / 2, ContactConfig())
     for index, points in enumerate(parts):

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 
 import manifold3d
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.mesh import Mesh, connected, shared_edges
+from cluttergen_jax.geometry import plane_axes, triangle_areas
 
 _FLAT = 1e-4
 _FLAP = 1e-3
@@ -81,8 +80,8 @@ def _places(near: _Neighbours, number: int) -> Iterator[np.ndarray]:
     """
     if not near.is_fold.any():
         return
-    whole = _components(near.pairs, number)
-    folded = _components(near.pairs[near.is_fold], number)
+    whole = connected(near.pairs, number)
+    folded = connected(near.pairs[near.is_fold], number)
     for each in np.unique(whole[near.pairs[near.is_fold, 0]]):
         yield np.flatnonzero(whole == each)
     for each in np.unique(folded[near.pairs[near.is_fold, 0]]):
@@ -96,16 +95,9 @@ def _places(near: _Neighbours, number: int) -> Iterator[np.ndarray]:
             is_inside[around] = True
 
 
-def _components(pairs: np.ndarray, number: int) -> np.ndarray:
-    """i64[number]: which of the sets that pairs connect each belongs to."""
-    links = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(number, number))
-    return connected_components(links, directed=False)[1]
-
-
 def _weld(mesh: Mesh, uv: np.ndarray | None) -> tuple[Mesh, np.ndarray]:
     """The mesh with vertices of equal place and texture coordinates as one, and i64[V], which one."""
-    digits = 6 - int(np.floor(np.log10(max(float(np.ptp(mesh.vertices)), 1e-9))))
-    columns = [np.round(mesh.vertices, digits), *([] if uv is None else [np.round(uv, 6)])]
+    columns = [np.round(mesh.vertices, mesh.decimals), *([] if uv is None else [np.round(uv, 6)])]
     _, first, label = np.unique(
         np.concatenate(columns, 1), axis=0, return_index=True, return_inverse=True
     )
@@ -117,22 +109,13 @@ def _neighbours(mesh: Mesh) -> _Neighbours:
     """Of each edge that two triangles share; triangles without area have no neighbours."""
     faces = mesh.faces.astype(np.int64)
     start, end, tip = (np.roll(faces, -turn, axis=1).reshape(-1) for turn in range(3))
-    low = np.minimum(start, end)
-    high = np.maximum(start, end)
-    _, edge, number = np.unique(
-        low * len(mesh.vertices) + high, return_inverse=True, return_counts=True
-    )
-    edge = edge.reshape(-1)
-    order = np.argsort(edge, kind="stable")
-    one, two = order[number[edge[order]] == 2].reshape(-1, 2).T
+    one, two = shared_edges(faces)[0].T
     # A sheet drawn from both sides is a triangle and its reverse, and no fold; nor are two that turn unlike.
     is_pair = (start[one] == end[two]) & (tip[one] != tip[two])
     one = one[is_pair]
     two = two[is_pair]
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    normals = mesh.normals
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+    normals = _unit(mesh.normals)
     base = mesh.vertices[start[one]]
     along = _unit(mesh.vertices[end[one]] - base)
     arms = [mesh.vertices[tip[side]] - base for side in (one, two)]
@@ -156,23 +139,18 @@ def _cut_anew(mesh: Mesh, place: np.ndarray) -> np.ndarray | None:
     faces = mesh.faces[place].astype(np.int64)
     normal = mesh.normals[place].sum(0)
     area = float(np.linalg.norm(normal))
-    whole = float(np.linalg.norm(mesh.normals[place], axis=1).sum())
+    whole = float(mesh.areas[place].sum())
     loops = _loops(faces)
     if area < 1e-6 * whole or not loops or len(np.setdiff1d(faces, np.concatenate(loops))):
         return None
-    side = np.cross(normal / area, np.eye(3)[np.abs(normal).argmin()])
-    side = side / np.linalg.norm(side)
-    axes = np.stack([side, np.cross(normal / area, side)], axis=1)
     corners = np.concatenate(loops)
-    flat = (mesh.vertices[corners] - mesh.vertices[corners[0]]) @ axes
+    flat = (mesh.vertices[corners] - mesh.vertices[corners[0]]) @ plane_axes(normal)
     ends = np.cumsum([len(loop) for loop in loops])[:-1]
     try:
         cut = np.asarray(manifold3d.triangulate(np.split(flat, ends)), np.int64).reshape(-1, 3)
     except (RuntimeError, ValueError):
         return None
-    (ax, ay) = (flat[cut[:, 1]] - flat[cut[:, 0]]).T
-    (bx, by) = (flat[cut[:, 2]] - flat[cut[:, 0]]).T
-    areas = ax * by - ay * bx
+    areas = triangle_areas(flat[cut])
     is_sound = bool((areas > -1e-9 * area).all()) and np.isclose(areas.sum(), area, rtol=1e-4)
     return corners[cut] if is_sound else None
 

@@ -12,10 +12,10 @@ import numpy as np
 from manifold3d import Manifold
 
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, hex_colors, made_by
-from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset
+from cluttergen_jax.assets.modeller.bins import slab
+from cluttergen_jax.assets.modeller.draw import Rng, hex_colors
+from cluttergen_jax.assets.support import Box, Rectangle
 
-WOODS = hex_colors("c9a375 b5814f 8a5a3a dcc49c a4683f")
 PAINTS = hex_colors("ece8df d7dde0 5b6b78 44584c b9694a")
 METALS = hex_colors("33363b 9ba1a6 5a5d61")
 DARK_STEEL = METALS[0]
@@ -38,12 +38,6 @@ def block(lower: Sequence[float], upper: Sequence[float]) -> Box:
     center = ((low + high) / 2).tolist()
     half = ((high - low) / 2).tolist()
     return Box((center[0], center[1], center[2]), (half[0], half[1], half[2]))
-
-
-def slab(size: Sequence[float], center: Sequence[float], low: float) -> Box:
-    """The collision box of `size` (x, y, z) standing on height `low`, centred on `center` (x, y)."""
-    half = (size[0] / 2, size[1] / 2, size[2] / 2)
-    return Box((float(center[0]), float(center[1]), low + half[2]), half)
 
 
 def oval_boxes(rx: float, ry: float, low: float, top: float) -> tuple[Box, ...]:
@@ -171,24 +165,3 @@ def planks(
         pieces.append((board(size, center, low), darker(color, noise.uniform(0.93, 1.05))))
         y += depth + gap
     return tuple(boxes), tuple(pieces)
-
-
-def table(
-    name: str,
-    top: float,
-    region: Rectangle,
-    boxes: Sequence[Box],
-    pieces: Sequence[cad.Painted],
-    label: str = "",
-) -> SupportAsset:
-    """Puts a table together; its provenance is the modeller, and its label the name's words if empty."""
-    label = label or name.replace("_", " ")
-    return SupportAsset(
-        name,
-        label,
-        tuple(boxes),
-        top,
-        region,
-        made_by(name),
-        tuple(cad.piece(*each) for each in pieces),
-    )

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from manifold3d import Manifold
 
-from cluttergen_jax.assets.modeller import joinery
+from cluttergen_jax.assets.modeller import bins
 from cluttergen_jax.assets.modeller import solids as cad
 from cluttergen_jax.assets.modeller.draw import Rng, shade, vary
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from scenes.furniture import joinery
 
 
 def l_desk(rng: Rng = None) -> SupportAsset:
@@ -41,19 +42,19 @@ def l_desk(rng: Rng = None) -> SupportAsset:
     long_limb = Rectangle((0.0, y - depth / 2), (x, depth / 2))
     short_limb = Rectangle((-x + limb / 2, 0.0), (limb / 2, y))
     is_wide = width * depth >= limb * reach
-    return joinery.table(
+    return bins.table(
         "l_desk",
         top,
         long_limb if is_wide else short_limb,
         [
             joinery.block((-x, inner, low), (x, y, top)),
             joinery.block((-x, -y, low), (-x + limb, inner, top)),
-            *(joinery.slab((side, side, low), foot, 0.0) for foot in feet),
+            *(bins.slab((side, side, low), foot, 0.0) for foot in feet),
         ],
         [
             (
                 cad.extrude(outline, thickness - 0.003, low + 0.003),
-                shade(rng, (joinery.WOODS[3], *joinery.WOODS)),
+                shade(rng, (bins.WOODS[3], *bins.WOODS)),
             ),
             (cad.extrude(outline, 0.003, low), joinery.DARK_STEEL),
             (cad.union(*rails, *legs), shade(rng, joinery.METALS, 0.02)),
@@ -70,7 +71,7 @@ def shelf_desk(rng: Rng = None) -> SupportAsset:
     low = top - 0.025
     side = 0.05
     sheet = 0.018
-    wood = shade(rng, joinery.WOODS)
+    wood = shade(rng, bins.WOODS)
     paint = shade(rng, joinery.PAINTS, 0.03)
     x = width / 2 - 0.04
     y = depth / 2 - 0.04
@@ -90,18 +91,18 @@ def shelf_desk(rng: Rng = None) -> SupportAsset:
     rails = [cad.box((2 * x, 0.022, 0.07), (0, sign * y), low - 0.07) for sign in (-1, 1)]
     rails += [cad.box((0.022, 2 * y, 0.07), (sign * x, 0), low - 0.07) for sign in (-1, 1)]
     rails += [cad.box((0.022, 2 * y, 0.04), (sign * x, 0), shelf_low - 0.04) for sign in (-1, 1)]
-    return joinery.table(
+    return bins.table(
         "shelf_desk",
         top,
         Rectangle(
             (0.0, (front - 0.01 - depth / 2) / 2), (width / 2, (front - 0.01 + depth / 2) / 2)
         ),
         [
-            joinery.slab((width, depth, top - low), (0, 0), low),
+            bins.slab((width, depth, top - low), (0, 0), low),
             *leg_boxes,
-            *(joinery.slab(*panel) for panel in panels),
-            joinery.slab((riser_width, riser_depth, sheet), (0, middle), top + under),
-            joinery.slab(shelf, shelf_place, shelf_low),
+            *(bins.slab(*panel) for panel in panels),
+            bins.slab((riser_width, riser_depth, sheet), (0, middle), top + under),
+            bins.slab(shelf, shelf_place, shelf_low),
         ],
         [
             (joinery.board((width, depth, top - low), (0, 0), low, 0.004), wood),
@@ -121,7 +122,7 @@ def drawer_desk(rng: Rng = None) -> SupportAsset:
     depth = vary(rng, 0.60, 0.08)
     top = vary(rng, 0.75, 0.03)
     low = top - 0.028
-    wood = shade(rng, (joinery.WOODS[1], *joinery.WOODS))
+    wood = shade(rng, (bins.WOODS[1], *bins.WOODS))
     paint = shade(rng, joinery.PAINTS, 0.03)
     side = 0.05
     cabinet = (vary(rng, 0.40, 0.1), depth - 0.07, low - 0.07)
@@ -141,17 +142,17 @@ def drawer_desk(rng: Rng = None) -> SupportAsset:
     ]
     feet = [joinery.bar((x, s * y, 0.0), (x, s * y, low), side, side) for s in (-1, 1)]
     plinth = cad.box((cabinet[0] - 0.04, cabinet[1] - 0.04, 0.07), place)
-    return joinery.table(
+    return bins.table(
         "drawer_desk",
         top,
         Rectangle((0.0, 0.0), (width / 2, depth / 2)),
         [
-            joinery.slab((width, depth, top - low), (0, 0), low),
-            joinery.slab(cabinet, place, 0.07),
-            joinery.slab((cabinet[0] - 0.04, cabinet[1] - 0.04, 0.07), place, 0.0),
-            joinery.slab(*apron),
-            joinery.slab(*panel),
-            *(joinery.slab((side, side, low), (x, s * y), 0.0) for s in (-1, 1)),
+            bins.slab((width, depth, top - low), (0, 0), low),
+            bins.slab(cabinet, place, 0.07),
+            bins.slab((cabinet[0] - 0.04, cabinet[1] - 0.04, 0.07), place, 0.0),
+            bins.slab(*apron),
+            bins.slab(*panel),
+            *(bins.slab((side, side, low), (x, s * y), 0.0) for s in (-1, 1)),
         ],
         [
             (joinery.board((width, depth, top - low), (0, 0), low, 0.005), wood),

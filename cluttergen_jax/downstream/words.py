@@ -1,0 +1,37 @@
+"""The words that settings of downstream take, and their limits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from numbers import Real
+from typing import Literal
+
+from cluttergen_jax.errors import ConfigError
+
+PlacerHead = Literal["scored"]
+PlacerNoise = Literal["on", "off", "both"]
+SensedFrom = Literal["free", "overhead", "side"]
+RobotTask = Literal["lift", "place"]
+Rearrangement = Literal["paper", "occupied", "blocked", "eight", "stacked"]
+LayoutRule = Literal["clearance", "reach", "similar"]
+PickOrder = Literal["graph", "lowest"]
+RobotObserver = Literal["true", "perception"]
+RecordFormat = Literal["lerobot", "robomimic"]
+SegmenterInput = Literal["colour", "depth"]
+
+# Of a split of a data set: what a larger number means is a slip of the hand.
+MAX_PAIRS = 10_000_000
+
+MAX_NOISE = 10.0
+"""Times the noise of a usual depth camera."""
+
+
+def check_noise(noise: object) -> None:
+    """Refuses what is no sequence of factors of the usual noise (ConfigError)."""
+    factors = list(noise) if isinstance(noise, Iterable) and not isinstance(noise, str) else []
+    if not factors or not all(
+        isinstance(each, Real) and 0 <= float(each) <= MAX_NOISE for each in factors
+    ):
+        raise ConfigError(
+            f"noise = {noise!r}", f"one number or more, 0 to {MAX_NOISE:g}", "noise=(0, 1)"
+        )
