@@ -12,7 +12,7 @@ from typing import Any
 
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import Rectangle, recorded_rectangle
-from cluttergen_jax.config import REMOVED_METHODS, TRUSTED_METHODS
+from cluttergen_jax.config import PACKED, REMOVED_METHODS, TRUSTED_METHODS
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.region import find_change
 from cluttergen_jax.spec import SceneSpec
@@ -172,7 +172,7 @@ class Trial:
     def row_name(self) -> str:
         """What tables call its row: its method, and what sets its rules apart from that method's own."""
         spec = self.spec
-        is_trusted = self.method in TRUSTED_METHODS
+        is_trusted = self.method in (*TRUSTED_METHODS, PACKED)
         is_ruined = bool(spec.ruin_after)
         own, other = ("weighted", "random") if is_trusted else ("random", "weighted")
         if is_ruined != is_trusted and spec.order == other:
