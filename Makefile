@@ -10,7 +10,7 @@ PYTEST = $(RUN)/pytest -n auto --maxprocesses 4 --dist loadfile
 # Most of a quick test's time is XLA's compiler; what runs once need not be optimised. test-all compiles as users do.
 QUICKLY = XLA_FLAGS="$$XLA_FLAGS --xla_backend_optimization_level=0"
 # Not the whole folder: what users make here (banks, with their cards) is not the project's.
-CODE = cluttergen_jax tests benchmarks docs examples scenes $(wildcard reports) $(wildcard *.py *.md)
+CODE = cluttergen_jax tests studies docs examples scenes $(wildcard reports) $(wildcard *.py *.md)
 INSTALL = $(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .DEFAULT_GOAL := help
@@ -89,9 +89,9 @@ scenes: $(VENV)/.dev ## build the embedded pools, supports and ready scenes agai
 	$(RUN)/python scenes/build_ready.py
 
 bench: $(VENV)/.all ## measure contact, last check and engines again; renews reports/benchmarks.md
-	$(RUN)/python -m benchmarks.contact --write
-	$(RUN)/python -m benchmarks.last_check --write
-	$(RUN)/python -m benchmarks.engines --write
+	$(RUN)/python -m studies.benchmarks.contact --write
+	$(RUN)/python -m studies.benchmarks.last_check --write
+	$(RUN)/python -m studies.benchmarks.engines --write
 
 clean: ## remove what these commands made
 	rm -rf $(VENV) out build dist .pytest_cache .ruff_cache .mypy_cache

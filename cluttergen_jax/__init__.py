@@ -44,18 +44,17 @@ from cluttergen_jax.api.pretrain import pretrain
 from cluttergen_jax.api.render import render
 from cluttergen_jax.api.repair import repair
 from cluttergen_jax.api.train import train, train_suite
-from cluttergen_jax.api.verify import verify
 from cluttergen_jax.api.view import view
+from cluttergen_jax.judging.api import certify, judge, verify
 from cluttergen_jax.spec import SceneOptions, SceneSpec
 
 if TYPE_CHECKING:
+    from cluttergen_jax.api.dataset import make_dataset
     from cluttergen_jax.assets.pool import find_pool as load_pool
     from cluttergen_jax.assets.pool import list_pools, remove_pool
     from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.assets.support_file import find_support as load_support
     from cluttergen_jax.assets.support_file import list_supports
-    from cluttergen_jax.downstream.api import evaluate_suite
-    from cluttergen_jax.downstream.dataset.api import make_dataset
     from cluttergen_jax.downstream.environments.api import make_robot_env, scripted_actions
     from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
     from cluttergen_jax.downstream.environments.world import RobotWorld, with_robot
@@ -72,7 +71,7 @@ if TYPE_CHECKING:
         list_robots,
         read_robot,
     )
-    from cluttergen_jax.evaluation.api import certify, evaluate, judge
+    from cluttergen_jax.evaluation.api import evaluate
     from cluttergen_jax.generation import BankArrays, Sampler, load_bank, make_sampler, stream_bank
     from cluttergen_jax.generation.environments import (
         make_env,
@@ -109,7 +108,6 @@ __all__ = [
     "SceneSpec",
     "certify",
     "evaluate",
-    "evaluate_suite",
     "export",
     "generate",
     "grasp_dataset",
@@ -169,9 +167,8 @@ __all__ = [
 
 # What is in no module of this list is in `generation`.
 _MODULES = {
-    "evaluation.api": ("certify", "evaluate", "judge"),
-    "downstream.api": ("evaluate_suite",),
-    "downstream.dataset.api": ("make_dataset",),
+    "evaluation.api": ("evaluate",),
+    "api.dataset": ("make_dataset",),
     "downstream.environments.api": ("make_robot_env", "scripted_actions"),
     "downstream.environments.randomization": ("RandomizationConfig",),
     "downstream.environments.world": ("RobotWorld", "with_robot"),

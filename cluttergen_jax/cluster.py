@@ -155,7 +155,15 @@ class _Actor:
         # What the driver sends comes through Ray, which unpickles all that it carries: no file is read.
         from ray.cloudpickle import loads
 
-        self._function = loads(make)()
+        try:
+            function = loads(make)
+        except ModuleNotFoundError as error:
+            raise ClutterGenError(
+                f"a worker on {platform.node()} has no module {error.name!r}",
+                "code that every machine of the cluster can import",
+                "method='FILE.py:name', where a method of your own is in that module",
+            ) from error
+        self._function = function()
 
     def run(self, item: Any) -> Any:
         """The result of one item."""

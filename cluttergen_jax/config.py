@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from numbers import Integral, Real
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from cluttergen_jax.errors import ConfigError, closest, range_text
 
@@ -28,11 +28,7 @@ Method = Literal[
     "open_loop",
     "short_memory",
 ]
-METHODS: tuple[Method, ...] = get_args(Method)
-TRUSTED_METHODS = ("spread", "guided")
-"""Those that ask what carries what, and that take objects away when they are stuck unless told otherwise."""
-GEOMETRIC_METHODS = ("random", "clear", "drop", *TRUSTED_METHODS)
-"""Those that see no clouds: objects may be released in any pose."""
+"""What is known of each stands in `placement.methods.table`."""
 # Ways to clutter that are no rivals of the others and stand in no table: objects shoulder to shoulder; and
 # all objects of a scene let fall into a heap, which the native engine makes whole.
 PACKED = "packed"
@@ -48,7 +44,6 @@ REPAIR = "repair"
 """That of banks of repaired layouts."""
 UNPROPOSED = (HAND, REPAIR)
 Variant = Literal["guided", "policy", "beta_free", "normal", "open_loop", "short_memory"]
-VARIANTS: tuple[Variant, ...] = get_args(Variant)
 """`guided` is no policy: its network learns by supervision what will stand, for every pool.
 
 `policy` is the full method with the preset's head (a mixture; in the paper's presets its Beta a coordinate);
@@ -147,7 +142,7 @@ def check_whole(**numbers: object) -> None:
             raise ConfigError(f"{name} = {value!r}", "a whole number")
 
 
-def check_names(names: Sequence[str], argument: str) -> None:
+def check_names(names: Sequence[object], argument: str) -> None:
     """Refuses a single name, whose letters would be taken for names."""
     if isinstance(names, str):
         raise ConfigError(
@@ -236,7 +231,7 @@ class StabilityConfig:
       both_detectors: what the last check and the slight disturbance ask is asked with each of MuJoCo's two
         detectors of convex collisions (`DETECTORS`), not with its own choice alone; native engine only.
       robust_tilt: radians; above 0, what came to rest must also stand while gravity, tilted by so much, turns
-        once around (`physics.disturbance`) and contacts are as soft as MuJoCo's default; 0 asks for nothing.
+        once around (`native.disturb`) and contacts are as soft as MuJoCo's default; 0 asks for nothing.
         The others count only then:
       robust_friction: factor of all friction coefficients meanwhile.
       robust_steps: steps of that turn.
@@ -293,6 +288,11 @@ class StabilityConfig:
                 "raising max_steps",
             )
 
+    @classmethod
+    def standing_within(cls, max_shift: float, max_turn_deg: float) -> StabilityConfig:
+        """With these limits of a finished scene, metres and degrees."""
+        return cls(stand_full_shift=max_shift, stand_full_turn=math.radians(max_turn_deg))
+
     @property
     def file_margin(self) -> float:
         """Metres at which contacts of saved scenes begin; 0 but for robust ones (`ROBUST_MARGIN`)."""
@@ -328,11 +328,144 @@ def stability_record(config: StabilityConfig) -> Record:
     return {name: value for name, value in record.items() if not name.startswith("robust_")}
 
 
+_DECIDED = ("timestep", "stop_when_decided", "judge_neighbours", "both_detectors", "robust_tilt")
+"""Fields of a `StabilityConfig` that are no limits: engine, contacts, `setting` and `robust` decide them."""
+_STAYS_PUT = {
+    "shift": ("max_shift", "stand_shift", "stand_full_shift"),
+    "turn": ("max_turn", "stand_turn", "stand_full_turn"),
+}
+_UNITS = {"mm": 1e-3, "m": 1.0, "deg": math.radians(1), "rad": 1.0}
+_STABILITY_EXAMPLE = "stability='shift=0.002,turn=2deg'"
+
+
+def stability_of(given: object) -> StabilityConfig:
+    """Limits of what counts as stable, from text, "shift=0.002,turn=2deg", a mapping, or as they are.
+
+    `shift` and `turn` are how far an object that stands may move in whatever happens to it later: attempts
+    for others, the last check, `verify`. Other names are those of numbers of a `StabilityConfig`. Numbers are
+    SI units and radians, or have mm, m, deg or rad behind them.
+
+    Raises:
+      ConfigError: a name is unknown or comes twice, a value is no number, out of range or not for a user to
+        choose, or `quiet_steps` and `settle_steps` do not fit `max_steps`.
+    """
+    usual = StabilityConfig()
+    if isinstance(given, StabilityConfig):
+        if fixed := [name for name in _DECIDED if getattr(given, name) != getattr(usual, name)]:
+            raise _decided(fixed[0])
+        return given
+    pairs: list[tuple[str, object]] = []
+    if isinstance(given, str):
+        for part in filter(None, (each.strip() for each in given.split(","))):
+            named, equals, text = part.partition("=")
+            if not equals:
+                raise ConfigError(
+                    f"stability {part!r}", "NAME=VALUE, with commas between", _STABILITY_EXAMPLE
+                )
+            pairs.append((named.strip(), text.strip()))
+    elif isinstance(given, Mapping):
+        pairs = list(given.items())
+    if not pairs:
+        raise ConfigError(
+            f"stability = {given!r}",
+            "text, a mapping of names to numbers, or a StabilityConfig",
+            _STABILITY_EXAMPLE,
+        )
+    allowed = (*_STAYS_PUT, *(each.name for each in fields(usual) if each.name not in _DECIDED))
+    found: dict[str, float] = {}
+    for name, value in pairs:
+        if name in _DECIDED:
+            raise _decided(name)
+        if name not in allowed:
+            raise ConfigError(
+                f"stability {name!r}",
+                ", ".join(allowed),
+                _STABILITY_EXAMPLE,
+                closest(name, allowed),
+            )
+        if name in found:
+            raise ConfigError(f"stability {given!r}, where {name} comes twice", "every name once")
+        found[name] = _limit(name, value)
+    changes: dict[str, Any] = {}
+    for name, places in _STAYS_PUT.items():
+        if name in found:
+            limit = found.pop(name)
+            changes |= dict.fromkeys(places, limit)
+            # What moved less in the first stage of the last check stands already.
+            changes[places[1]] = min(limit, getattr(usual, places[1]))
+    changes |= found
+    for name, value in changes.items():
+        # Steps are counted.
+        if isinstance(getattr(usual, name), int) and value == int(value):
+            changes[name] = type(getattr(usual, name))(value)
+    check_whole(**{name: changes[name] for name in changes if name.endswith("_steps")})
+    return replace(usual, **changes)
+
+
+def _decided(name: str) -> ConfigError:
+    return ConfigError(
+        f"stability with another {name}",
+        "limits; engine, contacts, `setting` and `robust` decide this",
+        "robust=True" if name == "robust_tilt" else _STABILITY_EXAMPLE,
+    )
+
+
+def _limit(name: str, value: object) -> float:
+    """A number, or text of one with its unit; it is a length, an angle or a number of steps."""
+    factor = 1.0
+    given = value
+    if isinstance(value, str):
+        text = value
+        for unit, size in _UNITS.items():
+            if text.endswith(unit):
+                factor = size
+                text = text.removesuffix(unit)
+                break
+        try:
+            value = float(text)
+        except ValueError:
+            value = None
+    if not isinstance(value, Real) or not math.isfinite(value):
+        raise ConfigError(
+            f"stability {name}={given!r}",
+            f"a number, with {', '.join(_UNITS)} behind it if wanted",
+            _STABILITY_EXAMPLE,
+        )
+    return float(value) * factor
+
+
+def stability_text(config: StabilityConfig) -> str:
+    """The limits that are not the usual ones, as `stability_of` reads them; "" if all are."""
+    usual = asdict(StabilityConfig())
+    given = asdict(config)
+    changed = {name: value for name, value in given.items() if value != usual[name]}
+    words = []
+    for name, places in _STAYS_PUT.items():
+        limit = given[places[0]]
+        alike = (limit, min(limit, usual[places[1]]), limit)
+        if changed.keys() & {*places} and tuple(given[place] for place in places) == alike:
+            words.append(f"{name}={_written(name, limit)}")
+            for place in places:
+                changed.pop(place, None)
+    words += [
+        f"{name}={_written(name, value)}" for name, value in changed.items() if name not in _DECIDED
+    ]
+    return ",".join(words)
+
+
+def _written(name: str, value: float) -> str:
+    """A limit as text that is read as the same number, angles in degrees where they can be."""
+    degrees = f"{math.degrees(value):.6g}deg"
+    is_angle = "turn" in name or "angular" in name
+    return degrees if is_angle and _limit(name, degrees) == value else repr(value + 0)
+
+
 @dataclass(frozen=True)
 class ContactConfig:
     """Contact and solver parameters, the same in every engine and in every exported file.
 
-    There is no joint damping: it cannot be exported and hides creep. `benchmarks/contact.py` is the evidence.
+    There is no joint damping: it cannot be exported and hides creep.
+    `studies/benchmarks/contact.py` is the evidence.
 
     Attributes:
       friction: sliding, torsional and rolling coefficients (MuJoCo's order).
@@ -393,14 +526,20 @@ class VerifyConfig:
 
     Attributes:
       seconds: how long the scene is simulated, 3600 at most.
-      max_shift: metres any object may be from its start at any time.
-      max_turn_deg: degrees any object may have turned.
+      max_shift: metres any object may be from its start at any time. At its default, a bank that was asked
+        for another limit (`stability`) is judged by that one.
+      max_turn_deg: degrees any object may have turned; likewise.
     """
 
     seconds: float = 10.0
-    max_shift: float = 0.005
-    max_turn_deg: float = 5.0
+    max_shift: float = StabilityConfig.stand_full_shift
+    max_turn_deg: float = math.degrees(StabilityConfig.stand_full_turn)
 
     def __post_init__(self) -> None:
         check_positive(self, "max_shift", "max_turn_deg")
         check_seconds("VerifyConfig.seconds", self.seconds)
+
+    @property
+    def limits(self) -> StabilityConfig:
+        """The same limits as `physics.standing` takes them."""
+        return StabilityConfig.standing_within(self.max_shift, self.max_turn_deg)

@@ -11,13 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, cast, get_args
 
 from cluttergen_jax.config import (
-    GEOMETRIC_METHODS,
-    METHODS,
-    PACKED,
-    PILE,
     PILE_NOSLIP,
     ROBUST_TILT,
-    TRUSTED_METHODS,
     UNPROPOSED,
     Balance,
     ContactConfig,
@@ -36,6 +31,8 @@ from cluttergen_jax.config import (
     check_whole,
     check_workers,
     no_such,
+    stability_of,
+    stability_text,
 )
 from cluttergen_jax.errors import ConfigError, closest, range_text
 from cluttergen_jax.placement.clutter import Clutter
@@ -46,6 +43,8 @@ from cluttergen_jax.placement.config import (
     RUIN_AFTER,
     PlacementConfig,
 )
+from cluttergen_jax.placement.methods.own import OwnMethod
+from cluttergen_jax.placement.methods.table import TARGETS, TRUSTED, entry_of, find_method, takers
 from cluttergen_jax.placement.relations import conditions_of, parse_relations, parse_roles
 
 # What reads assets is imported where it is needed: this module is all that a command's `--help` loads.
@@ -54,6 +53,9 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets.pool import Pool
     from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.placement.problem import ProblemConfig
+    from cluttergen_jax.placement.rules import Proposer, Rules
+
+    OwnProposer = Proposer | Callable[[Rules], Proposer]
 
 SHELF = 64
 MOST_ON_SHELF = 200
@@ -63,13 +65,6 @@ MARGIN_FOR: dict[OtherEngine, float] = {"drake": 0.02, "pybullet": 0.01, "isaac"
 """Metres of `min_margin` that another engine asks for (reports/measured.md); Isaac's was not measured."""
 SETTINGS = get_args(Setting)
 BALANCES = get_args(Balance)
-_FIXED_POSES = {
-    PACKED: ", which places all objects upright",
-    PILE: ", which always releases objects in random orientations",
-}
-"""Of methods that choose poses themselves: what an error says of them."""
-WEIGHED = ("clutter", "natural", "tidy", "relations", "roles", "clearance")
-"""Fields that some methods alone can bring about."""
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -96,6 +91,7 @@ class SceneOptions(TypedDict, total=False):
     budget: int | None
     min_margin: float | None
     robust: bool
+    stability: str | Mapping[str, float | str] | StabilityConfig | None
     for_engine: OtherEngine | None
     setting: Setting
     overhang: Overhang
@@ -107,7 +103,7 @@ class SceneOptions(TypedDict, total=False):
     relations: Sequence[str]
     roles: str | Mapping[str, str]
     clearance: float | None
-    method: Method | None
+    method: Method | OwnProposer | str | None
     checkpoint: str | Path | None
     engine: Engine
     num_threads: int
@@ -155,6 +151,9 @@ class SceneSpec:
         0 asks for nothing. If not given: 0.003.
       robust: require that an object, and whatever it touches, is also stable while gravity is tilted by 5
         degrees, friction is 0.7 times as much and contacts are softer; native engine only.
+      stability: other limits of what counts as stable, "shift=0.002,turn=2deg": how far an object that stands
+        may move in later attempts, in the last check and in `verify`; or names and numbers of a
+        `StabilityConfig`, of which paper and docs/contract.md tell. In Python also a mapping or that config.
       for_engine: an engine other than MuJoCo in which scenes shall stand too: "drake", "pybullet", "isaac". A
         larger `min_margin` is asked for, unless one is given.
       setting: default preset of the rules that are not given: "default", or "paper": a random order, nothing
@@ -181,10 +180,12 @@ class SceneSpec:
         `objects`: "plate_1=plate*; plate_2=plate*". In Python also a mapping.
       clearance: metres between the boxes of objects, and to the region's sides, that "packed" leaves; 0.003
         if not given.
-      method: how poses are proposed: "guided", "spread", "drop", "clear", "random", or a policy trained for
-        the pool: "policy", "beta_free", "normal", "open_loop" or "short_memory"; "packed": upright, side by
-        side, on others only as many as `clutter` allows by stack; or "pile": all objects fall into a heap, in
-        any orientation, as in a bin. If not given: the checkpoint's own, else "guided" ("spread" where no
+      method: who proposes poses: "guided", "spread", "drop", "clear", "random", or a policy trained for the
+        pool: "policy", "beta_free", "normal", "open_loop" or "short_memory"; "packed": upright, side by side,
+        on others only as many as `clutter` allows by stack; or "pile": all objects fall into a heap, in any
+        orientation, as in a bin. Or your own, as FILE.py:name or module:name; in Python also a function of
+        key and episode that gives an action, or one of the rules that gives such a function
+        (examples/17_own_method.py). If not given: the checkpoint's own, else "guided" ("spread" where no
         checkpoint of it is embedded).
       checkpoint: the policy's folder; the embedded one for the pool if not given.
       engine: "auto", "native", "warp" or "jax".
@@ -214,6 +215,7 @@ class SceneSpec:
     budget: int | None = None
     min_margin: float | None = None
     robust: bool = False
+    stability: str | Mapping[str, float | str] | StabilityConfig | None = None
     for_engine: OtherEngine | None = None
     setting: Setting = "default"
     overhang: Overhang = "any"
@@ -225,7 +227,7 @@ class SceneSpec:
     relations: Sequence[str] = ()
     roles: str | Mapping[str, str] = ""
     clearance: float | None = None
-    method: Method | None = None
+    method: Method | OwnProposer | str | None = None
     checkpoint: str | Path | None = None
     engine: Engine = "auto"
     num_threads: int = 0
@@ -269,8 +271,11 @@ class SceneSpec:
             named = "; ".join(f"{name}={condition}" for name, condition in self.roles.items())
             object.__setattr__(self, "roles", named)
         check_names(self.relations, "relations")
-        if self.method is not None and self.method not in METHODS:
-            raise no_such("method", self.method, METHODS)
+        if self.method is not None:
+            object.__setattr__(self, "method", find_method(self.method))
+        if self.stability is not None:
+            text = stability_text(stability_of(self.stability))
+            object.__setattr__(self, "stability", text or None)
         if self.start is not None and (self.relations or self.roles):
             given = "`relations` with a scene to start from"
             raise ConfigError(given, "one or the other", "leaving out `start`")
@@ -313,11 +318,12 @@ class SceneSpec:
                 "region": _recorded_region(recipe),
                 "keep_out": tuple(map(recorded_rectangle, recipe.get("keep_out", ()))),
                 "robust": bool(stability.get("robust_tilt")),
+                "stability": _recorded_stability(stability, rules),
                 "setting": "paper"
                 if is_native and not stability.get("both_detectors")
                 else "default",
                 "roles": dict(rules.get("roles", ())),
-                "method": None if recipe["method"] in UNPROPOSED else recipe["method"],
+                "method": recorded_method(recipe),
             }
         )
 
@@ -336,7 +342,7 @@ class SceneSpec:
     def replace_given(
         self,
         pool: str | Path | None = None,
-        method: Method | None = None,
+        method: Method | OwnProposer | str | None = None,
         support: str | Path | None = None,
         num_objects: int | None = None,
         region: Rectangle | str | None = None,
@@ -358,11 +364,11 @@ class SceneSpec:
           method: by name; None for an environment, in which someone else acts.
         """
         is_default = self.setting == "default"
-        is_trusted = is_default and method in (*TRUSTED_METHODS, PACKED)
-        order: Order = "weighted" if is_trusted else "random"
-        ruin_after = min(RUIN_AFTER, self.max_attempts) if is_trusted else 0
+        is_ordered = is_default and entry_of(method).is_ordered
+        order: Order = "weighted" if is_ordered else "random"
+        ruin_after = min(RUIN_AFTER, self.max_attempts) if is_ordered else 0
         # In a heap things lean on walls and on each other.
-        usual = MIN_MARGIN if is_default and method != PILE else 0.0
+        usual = MIN_MARGIN if is_default and not entry_of(method).is_whole else 0.0
         min_margin = usual if self.for_engine is None else MARGIN_FOR[self.for_engine]
         return replace(
             self,
@@ -373,37 +379,37 @@ class SceneSpec:
 
     def check_poses(self, method: str) -> None:
         """Refuses poses with a method that sees clouds of upright objects (ConfigError)."""
-        if self.poses != "upright" and method not in GEOMETRIC_METHODS:
+        entry = entry_of(method)
+        if self.poses != "upright" and "poses" not in entry.takes:
             given = f"poses = {self.poses!r} with method {method!r}"
-            allowed = ", ".join(GEOMETRIC_METHODS)
-            given += _FIXED_POSES.get(method, "")
+            allowed = ", ".join(takers("poses"))
+            given += entry.own_poses
             raise ConfigError(given, f"poses='upright', or method {allowed}", "method='guided'")
 
     def check_method(self, method: str) -> None:
         """Refuses what is asked of scenes that a method cannot bring about (ConfigError)."""
-        if self.height != "rest" and method != "random":
+        entry = entry_of(method)
+        if self.height != "rest" and "height" not in entry.takes:
             given = f"height = {self.height!r} with method {method!r}"
-            raise ConfigError(given, "height='rest'", "method='random'")
+            raise ConfigError(given, "height='rest'", f"method={takers('height')[0]!r}")
         self.check_poses(method)
-        wanted = [name for name in WEIGHED[:-1] if getattr(self, name)]
-        if method == PACKED and self.clutter is not None:
+        if entry.limits_stack and self.clutter is not None:
             targets = Clutter.of(self.clutter).targets
             if others := [name for name in targets if name != "stack"]:
-                given = f"clutter {others[0]}={targets[others[0]]:g} with method {PACKED!r}"
+                given = f"clutter {others[0]}={targets[others[0]]:g} with method {method!r}"
                 allowed = (
                     "stack, the most objects that may rest on others; or with guided or spread"
                 )
-                raise ConfigError(given, allowed, f"method={TRUSTED_METHODS[0]!r}")
-            wanted.remove("clutter")
-        if wanted and method not in TRUSTED_METHODS:
+                raise ConfigError(given, allowed, f"method={TRUSTED[0]!r}")
+        wanted = [name for name in TARGETS if getattr(self, name) and name not in entry.takes]
+        if wanted:
             given = f"`{wanted[0]}` with method {method!r}"
-            raise ConfigError(
-                given, f"with {' or '.join(TRUSTED_METHODS)}", f"method={TRUSTED_METHODS[0]!r}"
-            )
-        if self.clearance is not None and method != PACKED:
+            raise ConfigError(given, f"with {' or '.join(TRUSTED)}", f"method={TRUSTED[0]!r}")
+        if self.clearance is not None and "clearance" not in entry.takes:
             given = f"clearance = {self.clearance!r} with method {method!r}"
-            raise ConfigError(given, f"with {PACKED}", f"method={PACKED!r}")
-        if method != PILE:
+            known = takers("clearance")
+            raise ConfigError(given, f"with {' or '.join(known)}", f"method={known[0]!r}")
+        if not entry.is_whole:
             return
         refused = ("keep_out", "start", "ruin_after", "min_margin", "robust", "for_engine")
         wanted = [name for name in refused if getattr(self, name)]
@@ -420,9 +426,9 @@ class SceneSpec:
         if wanted:
             value = getattr(self, wanted[0])
             raise ConfigError(
-                f"{wanted[0]} = {value!r} with method {PILE!r}, which lets all objects fall into a heap",
+                f"{wanted[0]} = {value!r} with method {method!r}, which lets all objects fall into a heap",
                 "leaving it out",
-                f"method={TRUSTED_METHODS[0]!r}, which places one object after another",
+                f"method={TRUSTED[0]!r}, which places one object after another",
             )
 
     @property
@@ -522,7 +528,7 @@ class SceneSpec:
                 raise ConfigError(
                     given, "one or the other", "repeat=False, or fewer `objects` and no `shelf`"
                 )
-        is_piled = method == PILE
+        entry = entry_of(method)
         num_objects = min(available, MOST_UNASKED) if self.num_objects is None else self.num_objects
         if ":" in self.surface:
             support = find_support(self.support)
@@ -541,15 +547,14 @@ class SceneSpec:
                 polygon, region = parse_polygon(region, support)
             else:
                 region = parse_region(region, support.region)
-        stability = StabilityConfig(robust_tilt=ROBUST_TILT if self.robust else 0.0)
-        if self.poses == "any":
-            # What is let go in any orientation falls over, and rolls, before it comes to rest.
-            stability = replace(stability, settle_steps=stability.max_steps - stability.quiet_steps)
+        limits = StabilityConfig() if self.stability is None else stability_of(self.stability)
+        stability = replace(limits, robust_tilt=ROBUST_TILT if self.robust else 0.0)
+        stability = _for_poses(stability, self.poses)
         placement = self.with_rules(method)._placement(num_objects)
-        if method == PACKED:
+        if entry.limits_stack:
             stacked = placement.clutter.stack if placement.clutter is not None else None
             placement = replace(placement, most_stacked=math.ceil(stacked or 0))
-        engine: Engine = "native" if is_piled else self.engine
+        engine: Engine = "native" if entry.is_whole else self.engine
         has_two_detectors = engine_of(engine, stability) == "native"
         return ProblemConfig(
             pool=pool,
@@ -562,14 +567,14 @@ class SceneSpec:
             surface=self.surface,
             region=region,
             polygon=polygon,
-            is_piled=is_piled,
+            is_piled=entry.is_whole,
             engine=engine,
             num_threads=self.num_threads,
             placement=placement,
             stability=replace(
                 stability, both_detectors=has_two_detectors and self.setting != "paper"
             ),
-            contact=ContactConfig(noslip_iterations=PILE_NOSLIP if is_piled else 0),
+            contact=ContactConfig(noslip_iterations=PILE_NOSLIP if entry.is_whole else 0),
         )
 
     def _weights(self) -> tuple[tuple[str, float], ...]:
@@ -603,6 +608,30 @@ RULES = tuple(
 _ALWAYS_ASKED = ("pool", "objects", "repeat", "support", "engine")
 _ALWAYS_RULED = ("num_objects", "containment", "order")
 _LATER = ("shelf", "balance", "surface", "start", "checkpoint")
+
+
+def recorded_method(recipe: Mapping[str, Any]) -> str | None:
+    """The method of a bank; of a user's own its name and digest, None if people made it."""
+    if digest := recipe.get("method_digest"):
+        return OwnMethod(recipe["method"], digest)
+    return None if recipe["method"] in UNPROPOSED else recipe["method"]
+
+
+def _recorded_stability(record: Mapping[str, Any], rules: Mapping[str, Any]) -> str | None:
+    """The limits of a bank where they are not the usual ones."""
+    usual = StabilityConfig()
+    known = {each.name for each in dataclasses.fields(usual)}
+    found = StabilityConfig(**{name: value for name, value in record.items() if name in known})
+    if found == _for_poses(replace(found, settle_steps=usual.settle_steps), rules.get("poses")):
+        found = replace(found, settle_steps=usual.settle_steps)
+    return stability_text(found) or None
+
+
+def _for_poses(stability: StabilityConfig, poses: str | None) -> StabilityConfig:
+    """What is let go in any orientation falls over, and rolls, before it comes to rest."""
+    if poses != "any" or stability.settle_steps != StabilityConfig.settle_steps:
+        return stability
+    return replace(stability, settle_steps=stability.max_steps - stability.quiet_steps)
 
 
 def _recorded_region(recipe: Mapping[str, Any]) -> Rectangle | str:

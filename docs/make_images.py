@@ -11,10 +11,10 @@ from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support_file import find_support, list_supports
 from cluttergen_jax.geometry import transform_points
 from cluttergen_jax.rendering.assets import close_points, object_sheet, render_scene, scene_spec
+from cluttergen_jax.rendering.film import save_film
 from cluttergen_jax.rendering.gl import gl_context
 from cluttergen_jax.rendering.picture import render_model
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
-from cluttergen_jax.rendering.video import save_film
 
 HERE = Path(__file__).parent / "images"
 POOLS = ("dining", "study", "office", "kitchen", "household")

@@ -12,10 +12,10 @@ from cluttergen_jax.downstream.perception.finder import SceneFinder, load_finder
 from cluttergen_jax.downstream.perception.segment.training import simulate_camera
 from cluttergen_jax.downstream.perception.types import FIRST_OBJECT
 from cluttergen_jax.downstream.perception.views.store import StoredView
-from cluttergen_jax.rendering.sensors import palette
 from cluttergen_jax.rendering.sheet import contact_sheet
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.noise import REALSENSE
+from cluttergen_jax.views.images import palette
 
 HERE = Path(__file__).parent / "images"
 POOL = "household"

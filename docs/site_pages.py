@@ -30,7 +30,7 @@ PAGES = {
     "README.md": "index.md",
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changes.md",
-    "benchmarks/README.md": "benchmarks.md",
+    "studies/benchmarks/README.md": "benchmarks.md",
     "reports/README.md": "reports/index.md",
     "reports/results.md": "reports/results.md",
     "reports/measured.md": "reports/measured.md",
@@ -45,7 +45,7 @@ _LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)([^)\s#]+)(#[^)\s]*)?(?=\))")
 _WIDE = "300"
 """Columns of a terminal in which an option of a command and its type are on one line."""
 _PUBLIC = ("assets", "physics", "placement", "importing", "sensing", "learning", "scene", "rendering",
-           "generation", "evaluation", "downstream")  # fmt: skip
+           "views", "generation", "judging", "evaluation", "downstream")  # fmt: skip
 """The packages whose modules are in the reference of Python."""
 
 

@@ -17,7 +17,8 @@ from cluttergen_jax.downstream.perception.segment.network_segmenter import (
     load_segmenter,
 )
 from cluttergen_jax.downstream.perception.types import Segmentation
-from cluttergen_jax.downstream.perception.views.stage import FOCAL, SIZE, open_stage
+from cluttergen_jax.downstream.perception.views.maker import open_stage
+from cluttergen_jax.downstream.robot.cameras import FOCAL, SIZE
 from cluttergen_jax.sensing.camera import free
 from cluttergen_jax.sensing.noise import REALSENSE, noisy
 

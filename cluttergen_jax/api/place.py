@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Unpack
 
 from cluttergen_jax.config import check_range
 from cluttergen_jax.numerics import with_kept_programs
-from cluttergen_jax.spec import WEIGHED, SceneOptions, spec_of, takes_spec
+from cluttergen_jax.placement.methods.table import TARGETS
+from cluttergen_jax.spec import SceneOptions, spec_of, takes_spec
 
 if TYPE_CHECKING:
     from cluttergen_jax.generation.generate import GeneratedBank
@@ -17,14 +18,16 @@ if TYPE_CHECKING:
 _MOST = 2**32 - 1
 _PERSON = "where a person places"
 _NOT_TAKEN = {
-    **dict.fromkeys(("method", "checkpoint", "height", "poses", *WEIGHED), _PERSON),
+    **dict.fromkeys(("method", "checkpoint", "height", "poses", *TARGETS, "clearance"), _PERSON),
     **dict.fromkeys(
         ("order", "max_attempts", "ruin_after", "budget"), f"{_PERSON}, as often as wanted"
     ),
     **dict.fromkeys(
         ("shelf", "weights", "balance", "surface", "start"), "where one world is opened"
     ),
-    **dict.fromkeys(("robust", "for_engine", "setting"), "where the usual check is made"),
+    **dict.fromkeys(
+        ("robust", "for_engine", "setting", "stability"), "where the usual check is made"
+    ),
     **dict.fromkeys(
         ("engine", "num_threads"), "where the native engine judges one attempt at a time"
     ),

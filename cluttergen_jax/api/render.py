@@ -123,10 +123,10 @@ def render(
     from cluttergen_jax.rendering.gl import check_importable
 
     check_importable()
-    from cluttergen_jax.generation.sources.bop import BopConfig
     from cluttergen_jax.generation.sources.rendering import Rendering
     from cluttergen_jax.rendering.scene_renderer import PictureConfig
-    from cluttergen_jax.sensing.camera_plan import parse_cameras
+    from cluttergen_jax.sensing.camera import parse_cameras
+    from cluttergen_jax.views.bop import BopConfig
 
     check_range("views", views, 1, _MOST_VIEWS, 4)
     check_range("seed", seed, 0, 2**32 - 1, 0)

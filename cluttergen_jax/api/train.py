@@ -20,7 +20,8 @@ from cluttergen_jax.config import (
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.training.suite import POOLS, SEEDS
 from cluttergen_jax.numerics import with_kept_programs
-from cluttergen_jax.spec import WEIGHED, SceneOptions, SceneSpec, spec_of, takes_spec
+from cluttergen_jax.placement.methods.table import TARGETS
+from cluttergen_jax.spec import SceneOptions, SceneSpec, spec_of, takes_spec
 
 if TYPE_CHECKING:
     from cluttergen_jax.learning.training.suite_run import SuiteReport
@@ -32,8 +33,8 @@ _NOT_TAKEN = {
     **dict.fromkeys(("objects", "repeat", "shelf", "weights", "balance"), _WORLD),
     **dict.fromkeys(("surface", "region", "keep_out", "start"), _WORLD),
     **dict.fromkeys(("containment", "order", "ruin_after", "budget", "min_margin"), _RULES),
-    **dict.fromkeys(("robust", "for_engine", "setting", "overhang"), _RULES),
-    **dict.fromkeys(("height", *WEIGHED), "of methods that are not trained"),
+    **dict.fromkeys(("robust", "for_engine", "setting", "stability", "overhang"), _RULES),
+    **dict.fromkeys(("height", *TARGETS, "clearance"), "of methods that are not trained"),
     "poses": "of which a policy, which sees clouds of upright objects, would know nothing",
     **dict.fromkeys(("method", "checkpoint"), "where `variant` says what is trained"),
     "num_threads": "where every core is taken",
@@ -208,7 +209,7 @@ def train_suite(
     stops no other. The arguments that are not explained here are those of `train`.
 
     Args:
-      suite: "paper" or "extended": all policies that the tables of `cluttergen evaluate --suite` need. Runs
+      suite: "paper" or "extended": all policies that the tables of `python evaluate.py --suite` need. Runs
         that are done are left alone, others are taken up.
       suite_list: only list the suite's runs, with the time that they will take.
       suite_only: only the runs whose names match, such as 'dining-*' or '*-policy-0'.

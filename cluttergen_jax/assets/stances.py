@@ -16,7 +16,7 @@ How people put an object is found by marks; more is better. It counts
 
 An object stays as authored if it rests so, within 8 degrees, and no pose has 0.9 marks more, or if no pose
 bears a tilt of 10 degrees. The weights were found on objects whose files are known to be right
-(`benchmarks/upright.py`).
+(`studies/benchmarks/upright.py`).
 """
 
 from __future__ import annotations

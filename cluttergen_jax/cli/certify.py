@@ -6,7 +6,7 @@ import numpy as np
 from tyro.conf import Positional
 
 from cluttergen_jax.cli.options import Options, options_from
-from cluttergen_jax.evaluation.api import certify
+from cluttergen_jax.judging.api import certify
 
 
 @options_from(certify, bank=Positional[str])

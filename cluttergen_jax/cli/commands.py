@@ -24,7 +24,7 @@ COMMANDS = {
     "dataset": "Make a dataset of views of banks: colour, depth, labels, masks, poses. Rerun to resume.",
     "train": "Train a placement policy with PPO. Rerun to resume.",
     "pretrain": "Pretrain a point encoder by classifying shapes. Rerun to resume.",
-    "evaluate": "Compare methods on pools and supports, or make a suite of tables and figures (`--suite`).",
+    "evaluate": "Compare methods on pools and supports.",
     "placer": "Stable placement from one camera's view: `placer data`, `placer train` and `placer eval`.",
     "perception": "Known objects in images: `perception data`, `perception train` and `perception eval`.",
     "robot": "A robot arm in simulation: `robot grasps`, `robot place` and `robot dataset`.",

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from tyro.conf import Positional
 
+from cluttergen_jax.api.dataset import make_dataset
 from cluttergen_jax.cli.options import Options, options_from
-from cluttergen_jax.downstream.dataset.api import make_dataset
 
 
 @options_from(make_dataset, banks=Positional[tuple[str, ...]])

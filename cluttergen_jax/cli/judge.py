@@ -5,7 +5,7 @@ from __future__ import annotations
 from tyro.conf import Positional
 
 from cluttergen_jax.cli.options import Options, options_from
-from cluttergen_jax.evaluation.api import judge
+from cluttergen_jax.judging.api import judge
 
 
 @options_from(judge, paths=Positional[tuple[str, ...]], states=str | None)

@@ -28,8 +28,14 @@ _MOMENT = 0.05
 """Seconds after which a Ctrl-C that came during an import is tried again."""
 
 
-def program(args: Sequence[str] | None = None) -> None:
-    """The console script: `main`, and an exit that waits for nothing once Ctrl-C was pressed."""
+def program(
+    args: Sequence[str] | None = None, run_args: Callable[[Any], int] | None = None
+) -> None:
+    """The console script: `main`, and an exit that waits for nothing once Ctrl-C was pressed.
+
+    Args:
+      run_args: a program of its own in the place of `main`.
+    """
     streams = Streams()
     signal.signal(signal.SIGINT, _on_interrupt)
     watch_signals(_on_interrupt)
@@ -38,8 +44,11 @@ def program(args: Sequence[str] | None = None) -> None:
     gc.set_threshold(_MANY_OBJECTS)
     # What the API's functions ask of JAX for themselves, in all threads of this process and in its children.
     os.environ.update(OF_THIS_PACKAGE)
+    if os.environ.get("NO_COLOR"):
+        # tyro reads this, and no other, when it is imported.
+        os.environ["PYTHON_TYRO_ANSI_CODES"] = "False"
     try:
-        status = main(args)
+        status = (run_args or main)(args)
     except KeyboardInterrupt:
         print("\nstopped; nothing was done yet", file=sys.stderr)
         status = INTERRUPTED
@@ -77,9 +86,6 @@ def _is_importing(frame: FrameType | None) -> bool:
 def main(args: Sequence[str] | None = None) -> int:
     """Parses the command line and runs it; the exit status."""
     words = list(sys.argv[1:] if args is None else args)
-    if os.environ.get("NO_COLOR"):
-        # tyro reads this, and no other, when it is imported.
-        os.environ["PYTHON_TYRO_ANSI_CODES"] = "False"
     name = words[0] if words else ""
     if name in ("-h", "--help", "") or name == "--version":
         print(_version() if name == "--version" else overview())
@@ -91,6 +97,28 @@ def main(args: Sequence[str] | None = None) -> int:
         error = ConfigError(given, ", ".join(COMMANDS), "cluttergen --help", meant)
         print(f"error: {error}", file=sys.stderr)
         return 2
+    if is_completion:
+        return run_words(all_commands, "cluttergen", words)
+    if name == "evaluate" and any(word.partition("=")[0] == "--suite" for word in words):
+        print(f"error: {ConfigError(*_NO_SUITE)}", file=sys.stderr)
+        return 2
+    return run_words(lambda: load(name), f"cluttergen {name}", words[1:])
+
+
+_NO_SUITE = (
+    "`cluttergen evaluate` with --suite: suites are not part of the installed package",
+    "a checkout of the repository, where they are in the folder `studies`",
+    "`python evaluate.py --suite ...` in a checkout's folder",
+)
+
+
+def run_words(command: Callable[[], Any], prog: str, words: Sequence[str]) -> int:
+    """Parses words as options of a command and runs it; the exit status.
+
+    Args:
+      command: imports the command's class.
+      prog: how the command is called, for its help.
+    """
     try:
         for path in (os.curdir, str(cache_home()), *words):
             check_utf8(path)
@@ -98,13 +126,11 @@ def main(args: Sequence[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     try:
-        if is_completion:
-            return run(parse_words(all_commands(), "cluttergen", words))
-        command = parse_words(load(name), f"cluttergen {name}", words[1:])
+        parsed = parse_words(command(), prog, words)
     except SystemExit as ended:
         # tyro ends the process where it has said what is wrong, or has explained a command.
         return int(ended.code or 0)
-    return run(command)
+    return run(parsed)
 
 
 def parse_words(command: Any, prog: str, words: Sequence[str]) -> Any:

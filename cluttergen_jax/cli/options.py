@@ -123,9 +123,11 @@ def options_from(*functions: Callable[..., Any], **kinds: Any) -> Callable[[type
 def _annotation(parameter: inspect.Parameter, function: Callable[..., Any]) -> Any:
     """The type of an argument; one by one, as some other's may take long to import."""
     if parameter.name in getattr(function, "spec_fields", ()):
-        # A rectangle is text there, and reading its class would load what reads tables.
-        return eval(parameter.annotation, vars(spec) | {"Rectangle": str})
-    return eval(parameter.annotation, inspect.unwrap(function).__globals__)
+        known = vars(spec)
+    else:
+        known = inspect.unwrap(function).__globals__
+    # Rectangles and own methods are text there; reading their classes would load what is heavy.
+    return eval(parameter.annotation, known | {"Rectangle": str, "OwnProposer": str})
 
 
 def _docs(function: Callable[..., Any]) -> dict[str, str]:

@@ -7,8 +7,8 @@ from typing import ClassVar
 
 from tyro.conf import Positional
 
-from cluttergen_jax.api.verify import verify
 from cluttergen_jax.cli.options import Options, options_from
+from cluttergen_jax.judging.api import verify
 
 
 @options_from(verify, path=Positional[str])

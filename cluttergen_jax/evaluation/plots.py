@@ -1,4 +1,4 @@
-"""Plots by Matplotlib, saved as PNG and PDF: what those of several studies share."""
+"""Plots by Matplotlib, saved as PNG and PDF: what several figures share."""
 
 from __future__ import annotations
 

@@ -135,7 +135,7 @@ class Measured(TypedDict):
 
 
 class Result(TypedDict, total=False):
-    """A study's result; one that is made in a package above this one brings its `tables` along."""
+    """A study's result; of a study with `brings_tables` it has its `tables`."""
 
     format: int
     suite: str

@@ -18,10 +18,7 @@ from cluttergen_jax.assets.pool import Pool, find_pool
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import (
-    METHODS,
-    PACKED,
     ROBUST_TILT,
-    VARIANTS,
     StabilityConfig,
     no_such,
     stability_record,
@@ -39,6 +36,8 @@ from cluttergen_jax.learning.training.suite import (
     PAPERS_VARIANTS,
 )
 from cluttergen_jax.learning.training.variants import HELD_OUT_FAMILIES, TRAINING_FAMILIES, variants
+from cluttergen_jax.placement.methods.own import OwnMethod
+from cluttergen_jax.placement.methods.table import LEARNED, METHODS, entry_of
 from cluttergen_jax.placement.problem import ProblemConfig, Standing
 from cluttergen_jax.scene.bank.reference import read_start
 from cluttergen_jax.spec import CROWD, MOST_ON_SHELF
@@ -129,7 +128,7 @@ class Checkpoints:
 
     def _is_of(self, method: str) -> bool:
         """Whether the given checkpoint is the method's; a record that does not say fits any of poses."""
-        if self.given is None or method not in VARIANTS:
+        if self.given is None or method not in LEARNED:
             return False
         return method == self.given.variant or (
             self.given.variant is None and method not in FOR_ANY_POOL
@@ -142,7 +141,7 @@ class Checkpoints:
           MissingCheckpointError: there is none, or its record is damaged.
           ConfigError: there is no such method. PoolError: `path` holds no checkpoint.
         """
-        if trial.method not in VARIANTS:
+        if not entry_of(trial.method).needs_checkpoint:
             checkpoint_of(trial.method, trial.pool)
             return None
         given = self.given if self._is_of(trial.method) else None
@@ -350,6 +349,8 @@ class Resolver:
             "engine": self._engine,
             "versions": versions(),
         }
+        if isinstance(trial.method, OwnMethod):
+            sources["method"] = trial.method.digest
         if trial.spec.robust:
             sources["robust"] = stability_record(StabilityConfig(robust_tilt=ROBUST_TILT))
         if _differs_from_earlier(trial, len(pool)):
@@ -373,7 +374,7 @@ def _differs_from_earlier(trial: Trial, num_objects: int) -> bool:
     is_crowd = trial.num_objects > CROWD and bool(spec.ruin_after)
     is_drawn = num_objects > MOST_ON_SHELF
     is_turned = spec.poses == "any" or (spec.poses == "resting" and spec.setting != "paper")
-    return is_crowd or is_drawn or is_turned or trial.method == PACKED
+    return is_crowd or is_drawn or is_turned or entry_of(trial.method).limits_stack
 
 
 def _standing_hash(standing: Standing) -> str:

@@ -36,9 +36,8 @@ from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.learning.methods import proposer_of, with_history_of
 from cluttergen_jax.physics import engine_of, make_physics
-from cluttergen_jax.physics.host import SwappablePhysics
+from cluttergen_jax.physics.host import NumberedEngines, Physics
 from cluttergen_jax.physics.native import NativePhysics
-from cluttergen_jax.physics.protocol import Physics
 from cluttergen_jax.placement.boxes import footprint_area
 from cluttergen_jax.placement.problem import (
     Problem,
@@ -81,7 +80,7 @@ class Runner:
         self.progress = Progress("evaluating", 0, "scene")
         self._setups: OrderedDict[Any, Setup] = OrderedDict()
         self._drawn: tuple[Any, Shelves] | None = None
-        self._swappable: dict[tuple[int, StabilityConfig], SwappablePhysics] = {}
+        self._shared: dict[tuple[int, StabilityConfig], tuple[NumberedEngines, Physics]] = {}
         self._made: set[str] = set()
         self._rows: dict[str, Row] = {}
         self._num_rows = self._num_done = 0
@@ -345,10 +344,12 @@ class Runner:
         if not isinstance(engine, NativePhysics):
             return engine
         sizes = (world.num_objects, stability)
-        if sizes not in self._swappable:
-            self._swappable[sizes] = SwappablePhysics(*sizes)
-        self._swappable[sizes].engine = engine
-        return self._swappable[sizes]
+        if sizes not in self._shared:
+            engines = NumberedEngines(*sizes)
+            self._shared[sizes] = engines, engines.with_number(np.int32(0))
+        engines, physics = self._shared[sizes]
+        engines.put(engine)
+        return physics
 
     def _config(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> ProblemConfig:
         """The trial's problem on the runner's engine, judged as its method and its count ask."""

@@ -5,15 +5,17 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import Rectangle, recorded_rectangle
-from cluttergen_jax.config import PACKED, REMOVED_METHODS, TRUSTED_METHODS
+from cluttergen_jax.config import REMOVED_METHODS
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.placement.methods.table import entry_of
 from cluttergen_jax.placement.region import find_change
 from cluttergen_jax.spec import SceneSpec
 
@@ -135,7 +137,7 @@ class Trial:
         usual = {
             "pool": self.pool,
             "support": self.support,
-            "method": self.method,
+            "method": str(self.method),
             "num_objects": self.num_objects,
             "attempts": spec.max_attempts,
             "trials": self.trials,
@@ -156,6 +158,7 @@ class Trial:
             "tidy": spec.tidy,
             "height": spec.height,
             "poses": spec.poses,
+            "stability": str(spec.stability or ""),
         }
         given = {
             name: getattr(spec, name) for name in (*_PLACE, *_RULES) if name in spec.overrides()
@@ -172,7 +175,7 @@ class Trial:
     def row_name(self) -> str:
         """What tables call its row: its method, and what sets its rules apart from that method's own."""
         spec = self.spec
-        is_trusted = self.method in (*TRUSTED_METHODS, PACKED)
+        is_trusted = entry_of(self.method).is_trusted
         is_ruined = bool(spec.ruin_after)
         own, other = ("weighted", "random") if is_trusted else ("random", "weighted")
         if is_ruined != is_trusted and spec.order == other:
@@ -188,6 +191,7 @@ class Trial:
         named = {TIDY: spec.tidy, FREE_HEIGHT: spec.height == "free", ROBUST: spec.robust}
         words = [name for name, is_asked in named.items() if is_asked]
         words += [str(spec.clutter)] if spec.clutter is not None else []
+        words += [str(spec.stability)] if spec.stability else []
         words += [f"{spec.poses} poses"] if spec.poses != "upright" else []
         return words + self._told(_RULES)
 
@@ -266,6 +270,7 @@ def trial_of(row: Mapping[str, Any]) -> Trial:
     asked["max_attempts"] = asked.pop("attempts", SceneSpec.max_attempts)
     asked["setting"] = "default" if asked.pop("both_detectors", False) else "paper"
     asked["clutter"] = asked.get("clutter") or None
+    asked["stability"] = asked.get("stability") or None
     return Trial.of(**asked)
 
 
@@ -284,3 +289,10 @@ def key_of(trial: Trial, sources: dict[str, Any]) -> str:
     told = {name: value for name, value in asked.items() if name not in left_out}
     text = json.dumps({"trial": told, "sources": sources}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:20]
+
+
+def grid(base: Trial, **values: Iterable[Any]) -> tuple[Trial, ...]:
+    """The trial with every combination of the given fields' values; the last field's vary fastest."""
+    return tuple(
+        base.replace(**dict(zip(values, each, strict=True))) for each in product(*values.values())
+    )

@@ -15,13 +15,16 @@ import jax.numpy as jnp
 from cluttergen_jax.config import Change, check_range, check_whole
 from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.generation.wrappers import ActionRange, FlatObservation, OnSurface
+from cluttergen_jax.learning.methods import Method, choose_method, proposer_of, with_history_of
 from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.placement.brax_env import Env
+from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.env import PlacementEnv
+from cluttergen_jax.placement.methods.table import TARGETS, entry_of
 from cluttergen_jax.placement.observation import ObservationConfig
 from cluttergen_jax.placement.problem import make_setup
 from cluttergen_jax.scene.bank.reference import read_start
-from cluttergen_jax.spec import WEIGHED, SceneOptions, SceneSpec, spec_of, takes_spec
+from cluttergen_jax.spec import SceneOptions, SceneSpec, spec_of, takes_spec
 
 if TYPE_CHECKING:
     from gymnasium.vector import AutoresetMode
@@ -33,7 +36,7 @@ OBSERVATIONS = ("flat", "dict")
 ACTIONS = ("pose", "surface")
 _NOT_TAKEN = {
     **dict.fromkeys(
-        ("method", "checkpoint", "height", *WEIGHED), "of a method: here someone else acts"
+        ("height", *TARGETS, "clearance"), "of methods that act alone: here someone else acts"
     ),
     **dict.fromkeys(
         ("shelf", "weights", "balance"), "by which blocks draw worlds: an environment is one world"
@@ -71,8 +74,11 @@ def make_env(
     z of the object's centre in a box over the queried region, and its turn (docs/contract.md, "Region and
     action").
 
-    The arguments that are not explained here are those of `SceneSpec`; the order is "random" and nothing is
-    taken away unless it is asked for.
+    With a `method` the environment has `propose(key, state)`, its action where an episode is, to compare with
+    or to learn from; rules that are not given are then the method's own.
+
+    The arguments that are not explained here are those of `SceneSpec`; without a method the order is "random"
+    and nothing is taken away unless it is asked for.
 
     Args:
       spec: what is asked for, or a pool's name.
@@ -90,8 +96,8 @@ def make_env(
       num_scene_points: points of the scene's cloud, with "dict" alone; 0 for none.
       change: how the region is changed at random in every episode: "none", "translation", "rotation",
         "shrinkage", "expansion" or "all".
-      options: fields of `SceneSpec`, in place of those of `spec`; methods and what they are asked for are
-        left out.
+      options: fields of `SceneSpec`, in place of those of `spec`; what methods alone are asked for is left
+        out.
 
     Raises:
       ConfigError: a setting is out of range or contradicts another.
@@ -104,23 +110,48 @@ def make_env(
     )
     _check_choices(observation, action)
     observed = ObservationConfig(num_scene_points=num_scene_points, num_cells=num_cells)
+    method = _method_of(asked, action, history_stride)
     pool = asked.find_pool()
-    config = asked.problem_config(None, pool)
+    config = asked.problem_config(method and method.name, pool)
     placement = replace(config.placement, reward=reward, history_stride=history_stride)
     config = replace(config, placement=placement, change=change)
     setup = make_setup(config, asked.boxes(), read_start(asked.start), pool=pool)
+    rules = setup.problem.rules
     env: Env = PlacementEnv(
-        setup.problem.rules,
+        rules,
         observed,
         auto_reset=auto_reset,
         start=setup.start,
         keep_out=setup.keep_out,
+        method=method and proposer_of(*method, rules),
     )
     if observation == "flat":
         env = FlatObservation(env)
     if action == "surface":
-        env = OnSurface(env, setup.problem.rules)
+        env = OnSurface(env, rules)
     return ActionRange(env, *action_range)
+
+
+def _method_of(asked: SceneSpec, action: str, history_stride: int) -> Method | None:
+    """Who proposes in an environment beside whoever acts in it; None if nobody was asked for."""
+    if asked.method is None and asked.checkpoint is None:
+        return None
+    method = choose_method(asked.method, asked.pool_text, asked.checkpoint)
+    asked.check_method(method.name)
+    if entry_of(method.name).is_whole or action == "surface":
+        raise ConfigError(
+            f"method {str(method.name)!r} in an environment with action={action!r}",
+            "a method that places one object after another, with action='pose'",
+            "method='spread'",
+        )
+    looks_back = with_history_of(PlacementConfig(), method.checkpoint).history_stride
+    if looks_back not in (0, history_stride):
+        raise ConfigError(
+            f"history_stride = {history_stride} with a method that was trained with {looks_back}",
+            f"{looks_back}",
+            f"history_stride={looks_back}",
+        )
+    return method
 
 
 class EnvSettings(SceneOptions, total=False):

@@ -15,11 +15,12 @@ from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.progress import track
 from cluttergen_jax.rendering.config import QUALITIES
 from cluttergen_jax.rendering.gl import renderer_status
-from cluttergen_jax.rendering.scene_renderer import PictureConfig, ScenePictures
+from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 from cluttergen_jax.scene.bank import Bank, BankRow
 from cluttergen_jax.scene.xml import scene_xml
 from cluttergen_jax.schema import digest_of
+from cluttergen_jax.views.maker import ViewMaker
 
 _OVERVIEW = 12
 _PNG_BEGINS = b"\x89PNG\r\n\x1a\n"
@@ -91,15 +92,14 @@ def _draw(bank: Bank, scenes: Sequence[BankRow], assets: dict) -> Path:
     images: list[np.ndarray] = []
     quality = QUALITIES["fine" if len(scenes) <= _MANY else "draft"]
     objects = [[assets[base_name(name)] for name in scene.objects] for scene in scenes]
-    with ScenePictures(
-        PictureConfig(samples=quality.samples, smoothing=quality.smoothing)
-    ) as pictures:
+    with ViewMaker(PictureConfig(samples=quality.samples, smoothing=quality.smoothing)) as maker:
         for place, scene in enumerate(track(scenes, "drawing", len(scenes), "picture")):
             path = scene_path(bank, scene.index, "png")
             if _is_whole_png(path) and len(images) >= min(_OVERVIEW, len(scenes)):
                 continue
-            others = objects[place + 1 : place + 1 + _AHEAD]
-            image = pictures.draw(objects[place], scene.poses, bank.support, others=others.copy)
+            coming = objects[place + 1 : place + 1 + _AHEAD]
+            maker.place(objects[place], scene.poses, bank.support, coming=coming.copy)
+            image = maker.picture()
             save_png(image, path)
             images.append(image)
     captions = [f"{scene.index:06d}" for scene in scenes[:_OVERVIEW]]

@@ -11,10 +11,12 @@ from importlib.metadata import version
 from pathlib import Path
 
 from cluttergen_jax.assets.support import Rectangle, recorded_rectangle, recorded_ring
-from cluttergen_jax.config import PILE, ContactConfig, StabilityConfig, stability_record
+from cluttergen_jax.config import ContactConfig, StabilityConfig, stability_record
 from cluttergen_jax.learning.methods import Method
 from cluttergen_jax.physics import engine_of
 from cluttergen_jax.placement.config import PlacementConfig, placement_record
+from cluttergen_jax.placement.methods.own import OwnMethod
+from cluttergen_jax.placement.methods.table import entry_of
 from cluttergen_jax.placement.problem import Problem, ProblemConfig
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.scene.bank.record import Recipe
@@ -52,7 +54,8 @@ def recipe_of(
         "placement": placement_record(problem.config.placement),
         "stability": stability_record(problem.config.stability),
         "region": dataclasses.asdict(problem.region),
-        "method": method.name,
+        "method": str(method.name),
+        **({"method_digest": method.name.digest} if isinstance(method.name, OwnMethod) else {}),
         "checkpoint_hash": method.checkpoint and method.checkpoint.hash,
         "block_size": BLOCK_SIZE,
         "names": problem.world.names if names is None else names,
@@ -81,7 +84,7 @@ def problem_of_recipe(recipe: Recipe, path: Path) -> ProblemConfig:
         balance=recipe.get("balance", ""),
         region=recorded_rectangle(recipe["region"]),
         polygon=recorded_ring(recipe.get("polygon", ())),
-        is_piled=recipe.get("method") == PILE,
+        is_piled=entry_of(recipe.get("method")).is_whole,
         engine=recipe.get("engine", "auto"),
         placement=config_of(PlacementConfig, recipe["placement"], path),
         stability=config_of(StabilityConfig, recipe["stability"], path),

@@ -134,3 +134,7 @@ class ActionRange(Wrapper):
         return self.env.step(
             state, jnp.clip((action - self.low) / (self.high - self.low), 0.0, 1.0)
         )
+
+    def propose(self, key: Array, state: State) -> Array:
+        """See `PlacementEnv.propose`."""
+        return self.low + (self.high - self.low) * self.env.propose(key, state)

@@ -140,7 +140,7 @@ _LEG = 0.3
 
 
 @dataclass(frozen=True)
-class UprightLook:
+class FurnitureLevels:
     """How furniture looks with one direction up.
 
     Attributes:
@@ -183,7 +183,7 @@ def read_upright(
     return shape, [f"{note} ({stated.axis} is up by {reason})" for note in notes]
 
 
-def _look_closer(mesh: Mesh, look: UprightLook) -> UprightLook:
+def _look_closer(mesh: Mesh, look: FurnitureLevels) -> FurnitureLevels:
     """Of furniture whose surfaces slope, and so are no levels of a grid."""
     sides = [2 * np.sort(each.surface.region.half_extents) for each in find_surfaces(mesh, 0.0)[0]]
     wide = [each for each in sides if each[0] >= NARROW_SURFACE]
@@ -196,7 +196,7 @@ def _look_closer(mesh: Mesh, look: UprightLook) -> UprightLook:
 
 
 def choose_up(
-    looks: Mapping[str, UprightLook], stated: str, is_stated: bool
+    looks: Mapping[str, FurnitureLevels], stated: str, is_stated: bool
 ) -> tuple[str, list[str]]:
     """The axis that is up, and in words what is to be said of that.
 
@@ -243,19 +243,19 @@ def choose_up(
     return stated, []
 
 
-def _largest(look: UprightLook) -> str:
+def _largest(look: FurnitureLevels) -> str:
     if look.num_levels == 0:
         return "no surface of 15 cm by 15 cm"
     return f"its largest surface is about {look.sides[0]:.2f} x {look.sides[1]:.2f} m"
 
 
-def _rank(look: UprightLook, axis: str) -> float:
+def _rank(look: FurnitureLevels, axis: str) -> float:
     """The score, nothing for what lies on its top, less for axes that no program has up; z before y."""
     habit = 0.7 if axis.startswith("-") else 1.0 + 0.01 * (axis == "z") + 0.005 * (axis == "y")
     return 0.0 if look.is_on_its_top else look.score * habit
 
 
-def looks_of(mesh: Mesh, up: str) -> dict[str, UprightLook]:
+def looks_of(mesh: Mesh, up: str) -> dict[str, FurnitureLevels]:
     """How furniture looks with each axis of its file up.
 
     Args:
@@ -276,7 +276,7 @@ def looks_of(mesh: Mesh, up: str) -> dict[str, UprightLook]:
     return found
 
 
-def _look(solid: np.ndarray, outside: np.ndarray, pitch: float) -> UprightLook:
+def _look(solid: np.ndarray, outside: np.ndarray, pitch: float) -> FurnitureLevels:
     """How it looks from a grid bool[X, Y, Z] whose last axis is up."""
     levels = _levels(solid, outside, pitch)
     used = np.flatnonzero(solid.any((0, 1)))
@@ -299,7 +299,7 @@ def _look(solid: np.ndarray, outside: np.ndarray, pitch: float) -> UprightLook:
     sides = (0.0, 0.0) if top is None else (min(top[1:3]) * pitch, max(top[1:3]) * pitch)
     area = sum(x * y for _, x, y, _ in levels) * pitch**2
     more = 1 + _PER_LEVEL * (min(len(levels), _MOST_LEVELS) - 1)
-    return UprightLook(
+    return FurnitureLevels(
         sides,
         area * more * (2.0 if is_on_legs else 1.0),
         len(levels),

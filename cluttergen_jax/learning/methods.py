@@ -4,19 +4,25 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from cluttergen_jax.assets.pool import without_exclusions
-from cluttergen_jax.config import METHODS, PACKED, PILE, VARIANTS, no_such
+from cluttergen_jax.config import no_such
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.learning.policies.embedded import find_policy, list_policies
 from cluttergen_jax.learning.policies.guided import KIND, load_guided
 from cluttergen_jax.learning.policies.policy import load_policy
-from cluttergen_jax.placement.baselines import BASELINES, make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.packed import Packed
-from cluttergen_jax.placement.piles import PileSampler
+from cluttergen_jax.placement.methods.table import (
+    BASELINES,
+    LEARNED,
+    METHODS,
+    entry_of,
+    episodes_of,
+    find_method,
+    make_proposer,
+)
 from cluttergen_jax.placement.problem import Setup
 from cluttergen_jax.placement.region import KeepOut
 from cluttergen_jax.placement.rollout import BlockSampler
@@ -29,18 +35,18 @@ FALLBACK_METHOD = "spread"
 
 
 class Method(NamedTuple):
-    """A method by name, and the checkpoint behind it; None for a baseline."""
+    """A method by name (of a user's own an `OwnMethod`), and the checkpoint behind it; None without one."""
 
     name: str
     checkpoint: Checkpoint | None = None
 
 
-def choose_method(method: str | None, pool: str, checkpoint: str | Path | None = None) -> Method:
+def choose_method(method: Any, pool: str, checkpoint: str | Path | None = None) -> Method:
     """The method of that name, or the one to take if none is named; records are read once.
 
     Args:
-      method: None takes the given checkpoint's own; without one `guided`, or `spread` where no checkpoint of
-        `guided` is embedded.
+      method: as `find_method` takes it. None takes the given checkpoint's own; without one `guided`, or
+        `spread` where no checkpoint of `guided` is embedded.
       checkpoint: a policy's folder; the embedded one if None.
 
     Raises:
@@ -48,7 +54,7 @@ def choose_method(method: str | None, pool: str, checkpoint: str | Path | None =
       PoolError: no checkpoint is embedded for it, or there is none in the given folder.
     """
     if method is not None:
-        _check_known(method)
+        method = find_method(method)
     given = None if checkpoint is None else read_checkpoint(Path(checkpoint))
     if method is None:
         method = _default() if given is None else given.variant or "policy"
@@ -76,11 +82,10 @@ def checkpoint_of(method: str, pool: str, given: Checkpoint | None = None) -> Ch
       ConfigError: there is no such method, or the given checkpoint is of another.
       PoolError: no checkpoint is embedded for it.
     """
-    _check_known(method)
-    if method not in VARIANTS:
+    if not entry_of(find_method(method)).needs_checkpoint:
         if given is not None:
             raise ConfigError(
-                f"`checkpoint` with method {method!r}, which has none", ", ".join(VARIANTS)
+                f"`checkpoint` with method {str(method)!r}, which has none", ", ".join(LEARNED)
             )
         return None
     if given is None:
@@ -89,15 +94,11 @@ def checkpoint_of(method: str, pool: str, given: Checkpoint | None = None) -> Ch
     return given
 
 
-def _check_known(method: str, what: str = "method") -> None:
-    if method not in METHODS:
-        raise no_such(what, method, METHODS)
-
-
 def _check_variant(method: str, given: Checkpoint) -> None:
     """Refuses a checkpoint of another method, or of one that was removed."""
     variant = given.variant or method
-    _check_known(variant, f"{given.path}, a checkpoint of method")
+    if variant not in METHODS:
+        raise no_such(f"{given.path}, a checkpoint of method", variant, METHODS)
     if variant != method:
         raise ConfigError(
             f"method {method!r} with {given.path}, which was trained as {variant!r}",
@@ -114,8 +115,6 @@ def with_history_of(placement: PlacementConfig, checkpoint: Checkpoint | None) -
 
 def proposer_of(method: str, checkpoint: Checkpoint | None, rules: Rules) -> Proposer:
     """The method, bound to a world; its checkpoint may be unreadable (PoolError) or unfit (ConfigError)."""
-    if method == PACKED:
-        return Packed(rules)
     if checkpoint is None:
         return make_proposer(method, rules)
     if checkpoint.kind == KIND:
@@ -134,6 +133,7 @@ def block_sampler_of(
     method: Method, rules: Rules, keep_out: KeepOut | None = None, start: Start | None = None
 ) -> BlockSampler:
     """Episodes of a method by these rules; errors: `proposer_of`."""
-    if method.name == PILE:
-        return PileSampler(rules, make_proposer("random", rules), keep_out, start)
-    return BlockSampler(rules, proposer_of(*method, rules), keep_out, start)
+    sampler: BlockSampler = episodes_of(method.name)(
+        rules, proposer_of(*method, rules), keep_out, start
+    )
+    return sampler

@@ -1,4 +1,4 @@
-"""The physics engines and their interface (`protocol.Physics`)."""
+"""The physics engines and their interface (`host.Physics`)."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import jax
 
 from cluttergen_jax.config import StabilityConfig, check_engine
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.physics.host import Physics
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.log import silent_import
 from cluttergen_jax.physics.native import NativePhysics
-from cluttergen_jax.physics.protocol import Physics
 
 
 def make_physics(

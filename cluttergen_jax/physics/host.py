@@ -1,4 +1,7 @@
-"""Engines of whole batches behind the interface of one scene; those on the host get NumPy arrays."""
+"""The physics interface, all that the decision process knows of a simulator, and engines behind it.
+
+Engines take whole batches; those on the host get NumPy arrays.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +20,37 @@ from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.geometry import rotate
 from cluttergen_jax.progress import COMPILING
 from cluttergen_jax.types import Array, Piling, Settling, Standing, Verdict
+
+
+class Physics(Protocol):
+    """Releases objects at rest and reports how they settle: SI units, world frame, one scene.
+
+    Both functions are pure and may be called under `jit`, `vmap` (of `vmap`), `cond`, `while_loop` and
+    `scan`. Index k is object k of the compiled world. An inactive scene costs nothing and returns its input.
+
+    Attributes:
+      config: when an object stands still.
+      compiling: what to say before its programs are compiled.
+    """
+
+    config: StabilityConfig
+    compiling: str
+
+    def settle(self, poses: Array, is_placed: Array, focus: Array, is_active: Array) -> Settling:
+        """One attempt: lets go of the focus object among the placed ones.
+
+        Args:
+          poses: f32[K, 7], position and quaternion wxyz of every object; read where placed.
+          is_placed: bool[K], the focus object included. The others are taken to lie at rest, as committed
+            objects do: an engine may let them sleep until they are touched.
+          focus: i32, the current object.
+          is_active: bool.
+        """
+        ...
+
+    def stand(self, poses: Array, is_placed: Array, is_active: Array) -> Standing:
+        """The last check of a finished scene, everything awake (docs/contract.md: staged)."""
+        ...
 
 
 def empty_settling(
@@ -107,7 +141,7 @@ HostFunction = Callable[..., Any]
 
 
 class OneScenePhysics:
-    """`protocol.Physics` on functions of one scene: arguments may be of whatever type fits.
+    """`Physics` on functions of one scene: arguments may be of whatever type fits.
 
     Args:
       config: when an object stands still.
@@ -125,7 +159,7 @@ class OneScenePhysics:
         self._stand_one = stand_one
 
     def settle(self, poses: Array, is_placed: Array, focus: Array, is_active: Array) -> Settling:
-        """See `protocol.Physics.settle`."""
+        """See `Physics.settle`."""
         return self._settle_one(
             jnp.asarray(poses, jnp.float32),
             jnp.asarray(is_placed, bool),
@@ -134,7 +168,7 @@ class OneScenePhysics:
         )
 
     def stand(self, poses: Array, is_placed: Array, is_active: Array) -> Standing:
-        """See `protocol.Physics.stand`."""
+        """See `Physics.stand`."""
         return self._stand_one(
             jnp.asarray(poses, jnp.float32),
             jnp.asarray(is_placed, bool),
@@ -150,13 +184,13 @@ class BatchEngine(Protocol):
     def settle_batch(
         self, poses: np.ndarray, is_placed: np.ndarray, focus: np.ndarray, is_active: np.ndarray
     ) -> Settling:
-        """`protocol.Physics.settle` for each of them."""
+        """`Physics.settle` for each of them."""
         ...
 
     def stand_batch(
         self, poses: np.ndarray, is_placed: np.ndarray, is_active: np.ndarray
     ) -> Standing:
-        """`protocol.Physics.stand` for each of them."""
+        """`Physics.stand` for each of them."""
         ...
 
     def pile_batch(self, *arrays: np.ndarray) -> Piling:
@@ -169,7 +203,7 @@ class BatchEngine(Protocol):
 
 
 class HostPhysics(OneScenePhysics):
-    """`protocol.Physics` by the methods of a `BatchEngine`, which subclasses have.
+    """`Physics` by the methods of a `BatchEngine`, which subclasses have.
 
     Args:
       num_objects: K; config: when an object stands still.
@@ -200,23 +234,6 @@ class HostPhysics(OneScenePhysics):
         raise NotImplementedError(f"{type(self).__name__} makes no piles")
 
 
-class SwappablePhysics(HostPhysics):
-    """`protocol.Physics` that asks whichever `engine` is set at the moment of the call.
-
-    What is compiled around it stays compiled when the engine changes: K and config are the same for all.
-    """
-
-    engine: BatchEngine
-
-    def settle_batch(self, *arrays: np.ndarray) -> Settling:
-        """See `BatchEngine`."""
-        return self.engine.settle_batch(*arrays)
-
-    def stand_batch(self, *arrays: np.ndarray) -> Standing:
-        """See `BatchEngine`."""
-        return self.engine.stand_batch(*arrays)
-
-
 class NumberedEngines:
     """Engines of worlds of one size, each known by a number; the one that was asked last is at hand.
 
@@ -224,11 +241,14 @@ class NumberedEngines:
 
     Args:
       num_objects: K of every world; config: when an object stands still.
-      make: the engine of a number.
+      make: the engine of a number; None where each is handed in (`put`).
     """
 
     def __init__(
-        self, num_objects: int, config: StabilityConfig, make: Callable[[int], BatchEngine]
+        self,
+        num_objects: int,
+        config: StabilityConfig,
+        make: Callable[[int], BatchEngine] | None = None,
     ) -> None:
         self.config = config
         self._make = make
@@ -248,10 +268,20 @@ class NumberedEngines:
         """The engine of a number; what the one before held is given back."""
         with self._lock:
             if self._at_hand is None or self._at_hand[0] != number:
-                if self._at_hand is not None:
-                    self._at_hand[1].free()
+                assert self._make is not None, f"no engine {number} was put here"
+                self._free()
                 self._at_hand = number, self._make(number)
             return self._at_hand[1]
+
+    def put(self, engine: BatchEngine, number: int = 0) -> None:
+        """From now on `engine` is that of a number; what the one before held is given back."""
+        with self._lock:
+            self._free()
+            self._at_hand = number, engine
+
+    def _free(self) -> None:
+        if self._at_hand is not None:
+            self._at_hand[1].free()
 
     def _batch(self, what: str, number: np.ndarray, *arrays: np.ndarray) -> Any:
         """One call for each number among N scenes."""
@@ -269,7 +299,7 @@ class NumberedEngines:
 
 
 class _Numbered(HostPhysics):
-    """`protocol.Physics` of one number."""
+    """`Physics` of one number."""
 
     def __init__(self, engines: NumberedEngines, number: Array) -> None:
         self._engines = engines

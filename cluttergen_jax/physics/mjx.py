@@ -30,8 +30,17 @@ from cluttergen_jax.physics.host import (
 )
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.margin import MIN_SHIFT
-from cluttergen_jax.physics.mjx_contacts import ContactRows, bearers, margins, overlaps
-from cluttergen_jax.physics.mjx_scenes import WARP_DEFAULTS, MjxScenes, WarpOptions, start_poses
+from cluttergen_jax.physics.mjx_scenes import (
+    WARP_DEFAULTS,
+    ContactRows,
+    MjxScenes,
+    WarpOptions,
+    bearers,
+    margins,
+    overlaps,
+    start_poses,
+)
+from cluttergen_jax.physics.standing import displacement, verdict_of_scene
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
 
 
@@ -95,7 +104,7 @@ _REFERENCE = (
 
 
 class MjxPhysics(OneScenePhysics):
-    """`protocol.Physics` on MJX.
+    """`host.Physics` on MJX.
 
     Args:
       layout: the compiled world.
@@ -160,8 +169,7 @@ class MjxPhysics(OneScenePhysics):
         velocity = scenes.velocity(data, focus)
         is_neighbour = batch.is_placed & ~batch.is_focus
         shift, turn = (
-            each * is_neighbour
-            for each in stability.displacement(jnp, scenes.poses(data), batch.start)
+            each * is_neighbour for each in displacement(jnp, scenes.poses(data), batch.start)
         )
         motion = stability.step_motion(jnp, velocity, run.track.velocity, config)
         after = stability.advance(jnp, run.track, motion, shift, turn, config)
@@ -291,13 +299,11 @@ class MjxPhysics(OneScenePhysics):
         data = scenes.step(run.data, may_move, is_awake=may_move)
         is_finite = scenes.is_finite(data)
         data = scenes.halt_diverged(data, is_finite, batch.start)
-        shift, turn = stability.displacement(jnp, scenes.poses(data), batch.start)
+        shift, turn = displacement(jnp, scenes.poses(data), batch.start)
         num_steps = before.num_steps + 1
         shift = jnp.maximum(before.shift, shift)
         turn = jnp.maximum(before.turn, turn)
-        verdict = stability.verdict_of_scene(
-            jnp, num_steps, shift, turn, batch.is_placed, self.config
-        )
+        verdict = verdict_of_scene(jnp, num_steps, shift, turn, batch.is_placed, self.config)
         verdict = jnp.where(scenes.has_overflowed(data), int(Verdict.OVERFLOW), verdict)
         verdict = jnp.where(is_finite, verdict, int(Verdict.NON_FINITE))
         after = Standing(verdict=verdict, num_steps=num_steps, shift=shift, turn=turn)

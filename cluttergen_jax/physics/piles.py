@@ -19,10 +19,10 @@ import numpy as np
 
 from cluttergen_jax.config import AIR_WALLS
 from cluttergen_jax.geometry import product, rotate
-from cluttergen_jax.physics import stability
 from cluttergen_jax.physics.host import below_top, empty_piling
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.simulations import Simulations, damping_of, sleeping_model
+from cluttergen_jax.physics.standing import displacement
 from cluttergen_jax.types import Piling, Verdict
 
 if TYPE_CHECKING:
@@ -285,7 +285,7 @@ class Piler:
         self, rows: np.ndarray, start: np.ndarray, max_shift: float, max_turn: float
     ) -> np.ndarray:
         """bool[n, K]: which objects are farther than that from where they were: metres, radians."""
-        shift, turn = stability.displacement(np, self.poses[rows], start)
+        shift, turn = displacement(np, self.poses[rows], start)
         return ((shift > max_shift) | (turn > max_turn)) & self.is_member[rows]
 
     def _check(self, rows: np.ndarray) -> None:

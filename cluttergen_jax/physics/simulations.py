@@ -12,6 +12,7 @@ from mujoco.batch import Batch, SimulationError
 
 from cluttergen_jax.config import Detector
 from cluttergen_jax.physics.layout import Layout
+from cluttergen_jax.physics.standing import disabled_flags
 
 _FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
 _BAD = [
@@ -34,12 +35,6 @@ def sleeping_model(model: mujoco.MjModel) -> mujoco.MjModel:
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     model.tree_sleep_policy[:] = mujoco.mjtSleepPolicy.mjSLEEP_INIT
     return model
-
-
-def disabled_flags(model: mujoco.MjModel, detector: Detector) -> int:
-    """A model's flags with which convex collisions are found by this detector."""
-    flag = int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
-    return model.opt.disableflags | flag if detector == "libccd" else model.opt.disableflags & ~flag
 
 
 def damping_of(model: mujoco.MjModel, drag: float, turning_drag: float) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The rule that judges stability, written once over the Python array API standard.
+"""The rule that judges attempts, written once over the Python array API standard (`standing` has scenes').
 
 Every function takes the array namespace `xp` (NumPy in the native engine, `jax.numpy` in MJX) and arrays with
 any leading axes, so the same lines decide in both engines.
@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from cluttergen_jax.config import StabilityConfig
-from cluttergen_jax.geometry import norm, turn_between
+from cluttergen_jax.geometry import norm
 from cluttergen_jax.types import Array, Verdict
 
 
@@ -76,12 +76,6 @@ def is_quiet_step(xp: Any, velocity: Array, acceleration: Array, config: Stabili
         size = xp.max(xp.abs(motion), axis=-1) if config.per_axis else norm(xp, motion)
         quiet = size < limit if quiet is None else quiet & (size < limit)
     return quiet
-
-
-def displacement(xp: Any, poses: Array, start: Array) -> tuple[Array, Array]:
-    """How far and how much every object is from where it was: shift and turn, f[..., K] each."""
-    shift = norm(xp, poses[..., :3] - start[..., :3])
-    return shift, turn_between(xp, poses[..., 3:], start[..., 3:])
 
 
 class StepMotion(NamedTuple):
@@ -188,25 +182,3 @@ def penetrates(xp: Any, depth: Array, depth_before: Array, config: StabilityConf
     """
     allowed = xp.minimum(depth_before + config.max_added_penetration, config.max_penetration)
     return xp.any(depth > allowed, axis=-1)
-
-
-def verdict_of_scene(
-    xp: Any, step: Array, shift: Array, turn: Array, is_placed: Array, config: StabilityConfig
-) -> Array:
-    """The last check's verdict after `step` steps, i32[...]: NONE while it is not over.
-
-    Staged: a scene that hardly moved by the end of the first stage stands, others run to the end of the
-    second.
-
-    Args:
-      step: i32[...]; shift, turn: f[..., K], the farthest so far; is_placed: bool[..., K].
-    """
-
-    def is_within(max_shift: float, max_turn: float) -> Array:
-        return ~xp.any(is_placed & ((shift > max_shift) | (turn > max_turn)), axis=-1)
-
-    stands_early = (step == config.stand_steps) & is_within(config.stand_shift, config.stand_turn)
-    stands_fully = is_within(config.stand_full_shift, config.stand_full_turn)
-    at_end = xp.where(stands_fully, int(Verdict.STABLE), int(Verdict.CREPT))
-    verdict = xp.where(step >= config.stand_full_steps, at_end, int(Verdict.NONE))
-    return xp.asarray(xp.where(stands_early, int(Verdict.STABLE), verdict), dtype=xp.int32)

@@ -9,11 +9,12 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.numerics import as_float32, new_key, with_own_settings
 from cluttergen_jax.placement.brax_env import Env, State
 from cluttergen_jax.placement.observation import Observation, ObservationConfig, observe
 from cluttergen_jax.placement.region import KeepOut
-from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.rules import Proposer, Rules
 from cluttergen_jax.placement.scenes import SceneBatch, scene_of
 from cluttergen_jax.placement.types import Episode, Start
 from cluttergen_jax.types import Array
@@ -56,6 +57,7 @@ class PlacementEnv(Env):
       auto_reset: begin the next episode in the step that ends one.
       start: what stands there when an episode begins; nothing if None.
       keep_out: where no object may come to lie.
+      method: who proposes (`propose`), beside whoever acts; None for nobody.
     """
 
     rules: Rules
@@ -64,6 +66,18 @@ class PlacementEnv(Env):
     auto_reset: bool = struct.field(pytree_node=False, default=True)
     start: Start | None = None
     keep_out: KeepOut | None = None
+    method: Proposer | None = None
+
+    @with_own_settings
+    def propose(self, key: Array, state: State) -> Array:
+        """The action of the environment's method where a state's episode is; ConfigError if it has none."""
+        if self.method is None:
+            raise ConfigError(
+                "an environment without a method",
+                "one that was made with a method",
+                "make_env(method='spread')",
+            )
+        return self.method(key, state.pipeline_state.episode)
 
     @with_own_settings
     def reset(

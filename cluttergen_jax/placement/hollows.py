@@ -13,9 +13,9 @@ from cluttergen_jax.assets.hollow import hollow_of
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support_map import VOID
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement.baselines import costs_of_staying
 from cluttergen_jax.placement.containers import BELOW_RIM, INNER, draw_contents
 from cluttergen_jax.placement.heightmap import HeightMap
+from cluttergen_jax.placement.methods.baselines import costs_of_staying
 from cluttergen_jax.placement.orientations import MAX_RESTING
 from cluttergen_jax.placement.search.fit import Candidates, UnderSide, lower_onto, support_share
 from cluttergen_jax.placement.search.search import CandidateScores

@@ -20,8 +20,7 @@ from cluttergen_jax.assets.support_map import check_keep_out, check_region, rim_
 from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import ConfigError, range_text
 from cluttergen_jax.physics import make_physics
-from cluttergen_jax.physics.host import NumberedEngines
-from cluttergen_jax.physics.protocol import Physics
+from cluttergen_jax.physics.host import NumberedEngines, Physics
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
 from cluttergen_jax.placement.hollows import check_contained, find_hollows, with_upright_containers
 from cluttergen_jax.placement.orientations import make_orientations

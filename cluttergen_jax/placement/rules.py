@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from cluttergen_jax.physics.host import NumberedEngines
-from cluttergen_jax.physics.protocol import Physics
+from cluttergen_jax.physics.host import NumberedEngines, Physics
+from cluttergen_jax.physics.standing import has_moved
 from cluttergen_jax.placement.boxes import Boxes, footprint_area
 from cluttergen_jax.placement.config import ORDER_POWER, PlacementConfig
 from cluttergen_jax.placement.containers import draw_contents, openings_of
@@ -687,10 +687,7 @@ class Rules(struct.PyTreeNode, eq=False):
 
     def _retry(self, episode: Episode, standing: Standing, is_filled: Array) -> Episode:
         """What moved in the last check is taken away and comes again, if attempts are left."""
-        limits = self.physics.config
-        moved = (standing.shift > limits.stand_full_shift) | (
-            standing.turn > limits.stand_full_turn
-        )
+        moved = has_moved(standing.shift, standing.turn, self.physics.config)
         moved &= episode.is_placed & ~episode.is_started
         fewer = remove(episode, moved, self.geometry, self.related).replace(
             is_over=jnp.bool_(False)

@@ -28,10 +28,9 @@ from cluttergen_jax.rendering.camera import axes, fit_camera
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.gl import gl_context
 from cluttergen_jax.rendering.lighting import add_lighting
-from cluttergen_jax.rendering.overlay import Ring, with_rings
 from cluttergen_jax.rendering.picture import distinct_colour, render_model
 from cluttergen_jax.rendering.renderer import Trail
-from cluttergen_jax.rendering.sheet import contact_sheet
+from cluttergen_jax.rendering.sheet import Ring, contact_sheet, with_rings
 
 _WIDTH = 480
 _HEIGHT = 240

@@ -9,13 +9,13 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import rotate_in_plane
 from cluttergen_jax.placement.rollout.replay import Attempt, Replay
 from cluttergen_jax.rendering.assets import close_points
-from cluttergen_jax.rendering.overlay import with_caption
 from cluttergen_jax.rendering.scene_renderer import (
     PictureConfig,
     RenderStyle,
     SceneRenderer,
     scene_renderer,
 )
+from cluttergen_jax.rendering.sheet import with_caption
 from cluttergen_jax.sensing.rays import SUPPORT
 
 NUM_PROPOSALS = 2048

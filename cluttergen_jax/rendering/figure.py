@@ -8,7 +8,6 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import transform_points
 from cluttergen_jax.placement.rollout.replay import Attempt, Replay
 from cluttergen_jax.rendering.assets import close_points
-from cluttergen_jax.rendering.overlay import ring_around, with_rings
 from cluttergen_jax.rendering.renderer import Trail
 from cluttergen_jax.rendering.scene_renderer import (
     RED,
@@ -16,6 +15,7 @@ from cluttergen_jax.rendering.scene_renderer import (
     RenderStyle,
     scene_renderer,
 )
+from cluttergen_jax.rendering.sheet import ring_around, with_rings
 
 GREEN = (0.13, 0.55, 0.25)
 _GHOST_ALPHA = 0.6

@@ -1,19 +1,29 @@
-"""What happens when in a film: who stands where in each of its frames. Needs no OpenGL until it is shot."""
+"""Films: who stands where in each frame, shot as they are asked for, and written whole or not at all.
+
+GIF always, MP4 with the extra `video` or the system's ffmpeg. OpenGL is needed once a film is shot.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator, Sequence
+import shutil
+import subprocess
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import get_args
 
 import numpy as np
+from PIL import Image
 
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.config import FilmFormat
+from cluttergen_jax.errors import ClutterGenError, ConfigError, MissingExtraError
+from cluttergen_jax.files import file_whole
 from cluttergen_jax.placement.rollout.replay import Attempt, Replay
 from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.config import FilmConfig
 from cluttergen_jax.rendering.figure import GREEN, trails_of
-from cluttergen_jax.rendering.overlay import with_caption
 from cluttergen_jax.rendering.renderer import Trail
 from cluttergen_jax.rendering.scene_renderer import (
     RED,
@@ -22,13 +32,14 @@ from cluttergen_jax.rendering.scene_renderer import (
     scene_renderer,
     turntable_points,
 )
+from cluttergen_jax.rendering.sheet import with_caption
 from cluttergen_jax.sensing.camera import Camera
 
 _TINT = 0.72
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class FilmFrame:
     """One picture of a film: a style per object of the world (None: not there), lines, and words."""
 
     styles: tuple[RenderStyle | None, ...]
@@ -43,7 +54,7 @@ def _segments(attempt: Attempt, timestep: float, config: FilmConfig) -> dict[str
     return begin | ({"rest": 0.15} if attempt.is_stable else {"shown": 0.3, "fade": 0.35})
 
 
-def replay_frames(recording: Replay, config: FilmConfig | None = None) -> list[Frame]:
+def replay_frames(recording: Replay, config: FilmConfig | None = None) -> list[FilmFrame]:
     """The placement as it happened: each attempt in turn, failed ones turning red and fading away.
 
     From release to the attempt's end the frames show the simulator's own trajectory.
@@ -62,7 +73,7 @@ def replay_frames(recording: Replay, config: FilmConfig | None = None) -> list[F
     natural = sum(sum(each.values()) for each in segments)
     hold = min(1.5, 0.2 * config.seconds)
     speedup = max(1.0, natural / max(config.seconds - hold, 1e-6))
-    frames: list[Frame] = []
+    frames: list[FilmFrame] = []
     clock = 0.0
     for place, of_attempt in enumerate(segments):
         for kind, seconds in of_attempt.items():
@@ -73,7 +84,7 @@ def replay_frames(recording: Replay, config: FilmConfig | None = None) -> list[F
             for number in range(count):
                 frames.append(_frame(recording, place, kind, (number + 1) / count, config))
     last = _standing(recording, recording.poses, recording.is_placed)
-    end = Frame(last, (), *(_ending(recording) if config.captions else ("", None)))
+    end = FilmFrame(last, (), *(_ending(recording) if config.captions else ("", None)))
     return [*frames, *[end] * max(1, round(hold * config.fps))]
 
 
@@ -85,7 +96,9 @@ def _standing(
     )
 
 
-def _frame(recording: Replay, place: int, kind: str, progress: float, config: FilmConfig) -> Frame:
+def _frame(
+    recording: Replay, place: int, kind: str, progress: float, config: FilmConfig
+) -> FilmFrame:
     attempt = recording.attempts[place]
     styles = list(_standing(recording, attempt.poses, attempt.is_placed))
     row = {"approach": 0, "settle": round(progress * attempt.num_steps)}.get(
@@ -107,7 +120,7 @@ def _frame(recording: Replay, place: int, kind: str, progress: float, config: Fi
         pose = attempt.settled[attempt.object_index]
     styles[attempt.object_index] = RenderStyle(pose, alpha, RED, strength)
     words = _words(recording, place, kind) if config.captions else ("", None)
-    return Frame(tuple(styles), trails, *words)
+    return FilmFrame(tuple(styles), trails, *words)
 
 
 def _words(
@@ -208,3 +221,112 @@ def _end_points(recording: Replay) -> np.ndarray:
     """f64[P, 3]: what the camera has to show, at the end."""
     objects = [recording.objects[i] for i in recording.placed]
     return close_points(objects, recording.poses[recording.placed], recording.support)
+
+
+FILM_FORMATS = get_args(FilmFormat)
+
+
+def check_format(name: str) -> None:
+    """Refuses a film format before any picture is drawn.
+
+    Raises:
+      ConfigError: there is no such format.
+      MissingExtraError: "mp4" without an encoder.
+    """
+    if name not in FILM_FORMATS:
+        raise ConfigError(f"film format {name!r}", ", ".join(FILM_FORMATS), "gif")
+    if name == "mp4":
+        find_ffmpeg()
+
+
+def find_ffmpeg() -> str:
+    """The encoder that the extra `video` brings, or the system's own.
+
+    Raises:
+      MissingExtraError: there is neither.
+    """
+    try:
+        import imageio_ffmpeg
+    except ImportError as error:
+        found = shutil.which("ffmpeg")
+        if found is None:
+            raise MissingExtraError("video", "writing MP4 (GIF needs no extra)") from error
+        return found
+    return imageio_ffmpeg.get_ffmpeg_exe()
+
+
+def save_film(frames: Iterable[np.ndarray], path: Path, fps: float) -> Path:
+    """Writes uint8[H, W, 3] frames to a .gif or .mp4 file.
+
+    Raises:
+      ConfigError: another ending, no frames, or a rate that the format cannot hold.
+      MissingExtraError: .mp4 without an encoder.
+    """
+    name = path.suffix.removeprefix(".")
+    check_format(name)
+    write: Callable[[Iterable[np.ndarray], Path, float], None] = (
+        _write_gif if name == "gif" else _write_mp4
+    )
+    with file_whole(path) as fresh:
+        write(frames, fresh, fps)
+    return path
+
+
+def _write_gif(frames: Iterable[np.ndarray], path: Path, fps: float) -> None:
+    if fps > 50:
+        raise ConfigError(
+            f"a GIF of {fps:g} frames per second", "50 at most", "fps=20, or film='mp4'"
+        )
+    images = [Image.fromarray(frame) for frame in frames]
+    if not images:
+        raise ConfigError("a film without frames", "at least one")
+    palette = _common_palette(images)
+    # Without dithering nothing crawls from frame to frame, and what stands still costs no bytes.
+    small = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
+    # A frame lasts whole hundredths of a second: those of the whole film are kept on average.
+    ends = np.round(100 * np.arange(len(small) + 1) / fps).astype(int)
+    lasting = (10 * np.diff(ends)).tolist()
+    small[0].save(
+        path, save_all=True, append_images=small[1:], duration=lasting, loop=0, optimize=False
+    )
+
+
+def _common_palette(images: list[Image.Image]) -> Image.Image:
+    """One palette of 256 colours for the whole film, from a dozen of its frames."""
+    chosen = images[:: max(1, len(images) // 12)]
+    width, height = chosen[0].size
+    wall = Image.new("RGB", (width, height * len(chosen)))
+    for number, image in enumerate(chosen):
+        wall.paste(image, (0, number * height))
+    return wall.quantize(256, method=Image.Quantize.MEDIANCUT)
+
+
+def _write_mp4(frames: Iterable[np.ndarray], path: Path, fps: float) -> None:
+    """Feeds raw pictures to ffmpeg: H.264 that every player and every paper's supplement can show."""
+    pictures = iter(frames)
+    first = next(pictures, None)
+    if first is None:
+        raise ConfigError("a film without frames", "at least one")
+    # H.264 stores colours for blocks of two by two pixels.
+    height = first.shape[0] // 2 * 2
+    width = first.shape[1] // 2 * 2
+    command = [find_ffmpeg(), "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
+    command += ["-s", f"{width}x{height}", "-r", f"{fps:g}", "-i", "-", "-an", "-c:v", "libx264"]
+    command += ["-crf", "18", "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as encoder:
+        assert encoder.stdin is not None
+        assert encoder.stderr is not None
+        try:
+            for frame in itertools.chain([first], pictures):
+                encoder.stdin.write(np.ascontiguousarray(frame[:height, :width]).tobytes())
+            encoder.stdin.close()
+        except BrokenPipeError:
+            # Its own message, which is read below, says why.
+            pass
+        except BaseException:
+            encoder.kill()
+            raise
+        message = encoder.stderr.read().decode(errors="replace").strip()
+    if encoder.returncode:
+        reason = message.splitlines()[-1] if message else f"code {encoder.returncode}"
+        raise ClutterGenError(f"{path.name} could not be encoded: {reason}", hint="film='gif'")

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -15,7 +14,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_map import rim_height
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.rendering.assets import close_points, scene_spec
+from cluttergen_jax.rendering.assets import scene_spec
 from cluttergen_jax.rendering.camera import corners, drawn_points, fit_camera
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.picture import DEFAULT_VIEW, prepare_model
@@ -27,7 +26,6 @@ from cluttergen_jax.rendering.renderer import (
     open_renderer,
     set_range,
 )
-from cluttergen_jax.rendering.variation import add_table_materials
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.rays import FLOOR, DepthImage, labels_of
 
@@ -89,6 +87,8 @@ class SceneRenderer:
       content: f64[P, 3], all that the whole view shows.
       camera: of the next picture, no larger than the first one's.
       colours: f32[ngeom, 4], of all surfaces where no style tints them; they may be changed.
+      bodies: i[N], the model's number of each object.
+      labels: i32[ngeom], of what `measure` sees, see `sensing.rays.labels_of`; they may be changed.
     """
 
     def __init__(
@@ -108,11 +108,13 @@ class SceneRenderer:
         self.camera = camera
         model = model_renderer.model
         self.colours = model.geom_rgba.copy()
-        self._label = labels_of(model)
-        self._joint_body = model.jnt_bodyid.copy()
+        self.labels = labels_of(model)
+        is_free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE
+        self.bodies = model.jnt_bodyid[is_free]
         is_fixed = (model.geom_group == VISUAL_GROUP) & (model.body_weldid[model.geom_bodyid] == 0)
         self._fixed = drawn_points(model, data, is_fixed)
-        self._home = model.qpos0.reshape(-1, 7).copy()
+        self._places = model.jnt_qposadr[is_free][:, None] + np.arange(7)
+        self._home = model.qpos0[self._places]
 
     def fit(self, points: np.ndarray) -> None:
         """Fits light, shadows and camera to another scene, of which f64[P, 3] are all places of things."""
@@ -162,13 +164,13 @@ class SceneRenderer:
         depth, geom = self.model_renderer.measure(self.data, self.camera)
         model.geom_group[:] = groups
         return DepthImage(
-            depth, geom, np.where(geom >= 0, self._label[geom], FLOOR).astype(np.int32)
+            depth, geom, np.where(geom >= 0, self.labels[geom], FLOOR).astype(np.int32)
         )
 
     def _apply(self, styles: Sequence[RenderStyle | None]) -> np.ndarray:
         """Poses and colours for one picture; f64[nbody], the opacity of each body."""
         model = self.model_renderer.model
-        bodies = self._joint_body
+        bodies = self.bodies
         if len(styles) != len(bodies):
             raise ConfigError(f"{len(styles)} styles for {len(bodies)} objects", f"{len(bodies)}")
         alpha = np.ones(model.nbody)
@@ -183,7 +185,7 @@ class SceneRenderer:
                 # Glass that is tinted is seen as what failed, not through.
                 colours[mine, 3] += style.strength * (1 - colours[mine, 3])
         model.geom_rgba[:] = colours
-        self.data.qpos[:] = qpos.ravel()
+        self.data.qpos[self._places] = qpos
         mujoco.mj_kinematics(model, self.data)
         return alpha
 
@@ -194,20 +196,21 @@ def scene_renderer(
     support: SupportAsset | None,
     points: np.ndarray,
     picture: PictureConfig,
-    materials: bool = False,
+    spec: mujoco.MjSpec | None = None,
 ) -> Iterator[SceneRenderer]:
     """A renderer of a scene, for as many pictures as are wanted.
 
     Args:
       objects: the same asset may come several times; of many scenes, all that any of them has.
-      materials: the model has those of `variation.Appearance`.
       points: f64[P, 3], all places that something will be drawn at; the camera is aimed at them.
+      spec: a lit specification whose free joints are the objects', in this order; see `lit_spec`, if None.
 
     Raises:
       RendererError: nothing here can draw.
     """
     picture = _look_over_rim(picture, support)
-    model, data, content = _make_scene_model(objects, support, points, picture, materials)
+    spec = spec or lit_spec(objects, support)
+    model, data, content = _make_scene_model(spec, points, picture)
     model.vis.quality.offsamples = picture.smoothing
     width = picture.width
     height = picture.height
@@ -225,21 +228,20 @@ def scene_camera(
 ) -> Camera:
     """The camera that `scene_renderer` of these begins with; needs no OpenGL."""
     picture = _look_over_rim(picture, support)
-    return _fit_camera(_make_scene_model(objects, support, points, picture)[2], points, picture)
+    content = _make_scene_model(lit_spec(objects, support), points, picture)[2]
+    return _fit_camera(content, points, picture)
+
+
+def lit_spec(objects: Sequence[ObjectAsset], support: SupportAsset | None) -> mujoco.MjSpec:
+    """Light, floor and support, and the objects at the origin."""
+    home = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (len(objects), 1))
+    return scene_spec(objects, home, support)[0]
 
 
 def _make_scene_model(
-    objects: Sequence[ObjectAsset],
-    support: SupportAsset | None,
-    points: np.ndarray,
-    picture: PictureConfig,
-    materials: bool = False,
+    spec: mujoco.MjSpec, points: np.ndarray, picture: PictureConfig
 ) -> tuple[mujoco.MjModel, mujoco.MjData, np.ndarray]:
-    """The model with its objects at the origin, its data, and f64[P, 3], all that the whole view shows."""
-    home = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (len(objects), 1))
-    spec, _ = scene_spec(objects, home, support)
-    if materials:
-        add_table_materials(spec)
+    """The model, its data, and f64[P, 3], all that the whole view shows."""
     model, is_drawn = prepare_model(spec.compile(), picture.hulls, None)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -273,84 +275,3 @@ def turntable_points(points: np.ndarray, num_turns: int = 36) -> np.ndarray:
     return np.concatenate(
         [np.column_stack([ring, np.full(num_turns, z)]) for z in np.unique(heights)]
     )
-
-
-_MOST_TOGETHER = 300
-"""Objects of one model."""
-
-
-class ScenePictures:
-    """Pictures of many scenes on one support; what several of them have is uploaded once.
-
-    A context manager.
-
-    Args:
-      picture: of each; its view holds where a scene is given no camera.
-    """
-
-    def __init__(self, picture: PictureConfig) -> None:
-        self.config = picture
-        self._stack = ExitStack()
-        self._renderer: SceneRenderer | None = None
-        self._slots: dict[tuple[int, int], int] = {}
-
-    def __enter__(self) -> ScenePictures:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stack.close()
-
-    def draw(
-        self,
-        objects: Sequence[ObjectAsset],
-        poses: np.ndarray,
-        support: SupportAsset,
-        camera: Camera | None = None,
-        others: Callable[[], Sequence[Sequence[ObjectAsset]]] = tuple,
-    ) -> np.ndarray:
-        """uint8[height, width, 3]: objects at poses f[N, 7].
-
-        Args:
-          camera: no larger than the pictures; the view, fitted to the scene, if None.
-          others: gives the objects of scenes that will be drawn next; asked where something is uploaded.
-
-        Raises:
-          RendererError: nothing here can draw.
-        """
-        keys = _keys_of(objects)
-        points = close_points(objects, poses, support)
-        if self._renderer is None or not self._slots.keys() >= set(keys):
-            self._open([objects, *others()], support, points)
-        assert self._renderer is not None
-        self._renderer.fit(points)
-        if camera is not None:
-            self._renderer.camera = camera
-        styles: list[RenderStyle | None] = [None] * len(self._slots)
-        for key, pose in zip(keys, poses, strict=True):
-            styles[self._slots[key]] = RenderStyle(pose)
-        return self._renderer.picture(styles)
-
-    def _open(
-        self, scenes: Sequence[Sequence[ObjectAsset]], support: SupportAsset, points: np.ndarray
-    ) -> None:
-        """A model of the first scene, and of those after it for as many objects as there is room for."""
-        self._stack.close()
-        together: dict[tuple[int, int], ObjectAsset] = {}
-        for objects in scenes:
-            more = dict(zip(_keys_of(objects), objects, strict=True))
-            if together and len(together | more) > _MOST_TOGETHER:
-                break
-            together |= more
-        self._slots = {key: place for place, key in enumerate(together)}
-        opened = scene_renderer(tuple(together.values()), support, points, self.config)
-        self._renderer = self._stack.enter_context(opened)
-
-
-def _keys_of(objects: Sequence[ObjectAsset]) -> list[tuple[int, int]]:
-    """Which asset each object is, and how many of it come before."""
-    seen: Counter[int] = Counter()
-    keys = []
-    for asset in objects:
-        keys.append((id(asset), seen[id(asset)]))
-        seen[id(asset)] += 1
-    return keys

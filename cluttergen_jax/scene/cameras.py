@@ -17,8 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.sensing.camera import Camera as Pinhole
-from cluttergen_jax.sensing.camera import intrinsics
+from cluttergen_jax.sensing.camera import Camera, intrinsics
 
 CAMERAS = ("overhead", "front", "side", "wrist")
 """overhead: straight down, +y up in the picture. front: from -y, 30 degrees down. side: from +x, the same.
@@ -40,7 +39,7 @@ _FLIP = np.array([1.0, -1.0, -1.0])
 
 
 @dataclass(frozen=True, eq=False)
-class Camera:
+class FixedCamera:
     """A camera that stands still, as files of scenes have it.
 
     Attributes:
@@ -59,21 +58,21 @@ class Camera:
     height: int = SIZE[1]
 
     @staticmethod
-    def of(name: str, camera: Pinhole) -> Camera:
+    def of(name: str, camera: Camera) -> FixedCamera:
         """A pinhole camera whose axis goes through the picture's middle and whose pixels are square."""
         # No zero is negative, in files neither.
         quaternion = Rotation.from_matrix(camera.rotation * _FLIP).as_quat(scalar_first=True) + 0.0
         fovy = 2 * math.degrees(math.atan(camera.height / 2 / camera.K[1, 1]))
-        return Camera(name, camera.eye, quaternion, fovy, camera.width, camera.height)
+        return FixedCamera(name, camera.eye, quaternion, fovy, camera.width, camera.height)
 
     @property
-    def pinhole(self) -> Pinhole:
+    def pinhole(self) -> Camera:
         """The same camera in OpenCV's frame, as everything that senses takes it."""
         T = np.eye(4)
         T[:3, :3] = self.rotation * _FLIP
         T[:3, 3] = self.position
         focal = self.height / 2 / math.tan(math.radians(self.fovy) / 2)
-        return Pinhole(self.width, self.height, intrinsics(self.width, self.height, focal), T)
+        return Camera(self.width, self.height, intrinsics(self.width, self.height, focal), T)
 
     @property
     def rotation(self) -> np.ndarray:
@@ -87,7 +86,7 @@ class Camera:
         return math.degrees(2 * math.atan(tangent))
 
 
-def scene_cameras(support: SupportAsset, names: Sequence[str] = CAMERAS) -> tuple[Camera, ...]:
+def scene_cameras(support: SupportAsset, names: Sequence[str] = CAMERAS) -> tuple[FixedCamera, ...]:
     """Cameras of these names around a support, in this order.
 
     Raises:
@@ -99,7 +98,7 @@ def scene_cameras(support: SupportAsset, names: Sequence[str] = CAMERAS) -> tupl
     return tuple(_camera(name, support) for name in names)
 
 
-def _camera(name: str, support: SupportAsset) -> Camera:
+def _camera(name: str, support: SupportAsset) -> FixedCamera:
     reach = np.array(support.region.half_extents) + _OVERHANG
     tangent = math.tan(math.radians(_FOVY) / 2)
     if name == "overhead":
@@ -114,7 +113,7 @@ def _camera(name: str, support: SupportAsset) -> Camera:
 
 def _looking(
     name: str, support: SupportAsset, azimuth: float, elevation: float, distance: float, fovy: float
-) -> Camera:
+) -> FixedCamera:
     """A camera so far from the region's middle; degrees: azimuth 0 is at its -y, 90 at its +x."""
     turn = support.region.yaw + math.radians(azimuth)
     down = math.radians(elevation)
@@ -126,6 +125,6 @@ def _looking(
     width, height = SIZE
     focal = height / 2 / math.tan(math.radians(fovy) / 2)
     eye = target - distance * forward
-    return Camera.of(
-        name, Pinhole.looking(eye, target, width, height, focal, (up[0], up[1], up[2]))
+    return FixedCamera.of(
+        name, Camera.looking(eye, target, width, height, focal, (up[0], up[1], up[2]))
     )

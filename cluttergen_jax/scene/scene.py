@@ -14,7 +14,7 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import product, transform_points
-from cluttergen_jax.scene.cameras import Camera
+from cluttergen_jax.scene.cameras import FixedCamera
 
 _UNIT = 1e-3
 _NAMED = 10
@@ -107,7 +107,7 @@ class Scene:
     stability: StabilityConfig = field(default_factory=StabilityConfig)
     contact: ContactConfig = field(default_factory=ContactConfig)
     origin: Origin = field(default_factory=Origin)
-    cameras: tuple[Camera, ...] = ()
+    cameras: tuple[FixedCamera, ...] = ()
 
     def __repr__(self) -> str:
         names = ", ".join(self.names[:_NAMED])

@@ -34,7 +34,7 @@ from cluttergen_jax.assets.support import PART_RGBA, SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.placement.world import unique_names
-from cluttergen_jax.scene.cameras import Camera
+from cluttergen_jax.scene.cameras import FixedCamera
 
 _UNSEEN: dict[str, str] = {
     "contype": "0",
@@ -63,7 +63,7 @@ def scene_xml(
     contact: ContactConfig,
     assets_path: str = "../assets",
     names: Sequence[str] | None = None,
-    cameras: Sequence[Camera] = (),
+    cameras: Sequence[FixedCamera] = (),
     names_detector: bool = True,
     has_joints: bool = False,
 ) -> bytes:

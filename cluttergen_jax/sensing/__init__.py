@@ -2,17 +2,20 @@
 
 from cluttergen_jax.sensing.camera import (
     REALSENSE_FOCAL,
+    REALSENSE_SIZE,
     Camera,
+    CameraPlan,
     find_preset,
     free,
     intrinsics,
     overhead,
+    parse_cameras,
 )
-from cluttergen_jax.sensing.camera_plan import CameraPlan, parse_cameras
 from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE, NoiseConfig, noisy
 from cluttergen_jax.sensing.partial import Grid, PartialMap, level_camera, merge_maps
 from cluttergen_jax.sensing.rays import (
     FIRST_OBJECT,
+    FLOOR,
     SUPPORT,
     DepthImage,
     Instance,
@@ -24,9 +27,11 @@ from cluttergen_jax.sensing.rays import (
 
 __all__ = [
     "FIRST_OBJECT",
+    "FLOOR",
     "NOISE_OFF",
     "REALSENSE",
     "REALSENSE_FOCAL",
+    "REALSENSE_SIZE",
     "SUPPORT",
     "Camera",
     "CameraPlan",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -142,10 +143,11 @@ def cast_rays(
 
 
 def labels_of(model: mujoco.MjModel) -> np.ndarray:
-    """i32[ngeom]: each geom's label, by its body: that of a free joint, the world's or a fixed one."""
+    """i32[ngeom]: each geom's label, by its body: that of a free joint, the world's or another one."""
     label_of_body = np.full(model.nbody, SUPPORT, np.int32)
     label_of_body[0] = FLOOR
-    label_of_body[model.jnt_bodyid] = FIRST_OBJECT + np.arange(model.njnt)
+    free = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
+    label_of_body[free] = FIRST_OBJECT + np.arange(len(free))
     return label_of_body[model.geom_bodyid]
 
 
@@ -206,18 +208,27 @@ class InstanceSensor:
     def __init__(
         self, objects: Sequence[ObjectAsset], support: SupportAsset, surfaces: bool = True
     ) -> None:
+        self._objects = tuple(objects)
+        self._surfaces = surfaces
         self._scene = RaySensor(sensed_model(objects, support), surfaces)
-        self._alone = RaySensor(sensed_model(objects, None), surfaces)
         self._scene_data = self._scene.make_data()
-        self._alone_data = self._alone.make_data()
         # Surfaces may reach a little beyond the collision parts.
         meshes = [[*(piece.mesh for piece in asset.pieces), *asset.parts] for asset in objects]
         self._points = [np.concatenate([mesh.vertices for mesh in each]) for each in meshes]
 
+    @cached_property
+    def _alone(self) -> tuple[RaySensor, mujoco.MjData]:
+        sensor = RaySensor(sensed_model(self._objects, None), self._surfaces)
+        return sensor, sensor.make_data()
+
+    def sense_scene(self, poses: np.ndarray, camera: Camera) -> DepthImage:
+        """What a camera sees of the objects at poses f[K, 7]."""
+        self._scene.pose(self._scene_data, poses)
+        return self._scene.sense(self._scene_data, camera)
+
     def sense(self, poses: np.ndarray, camera: Camera) -> tuple[DepthImage, tuple[Instance, ...]]:
         """What a camera sees of the objects at poses f[K, 7], and each of them by itself."""
-        self._scene.pose(self._scene_data, poses)
-        image = self._scene.sense(self._scene_data, camera)
+        image = self.sense_scene(poses, camera)
         instances = [
             self._instance(index, poses, camera, image.label == FIRST_OBJECT + index)
             for index in range(len(self._points))
@@ -237,8 +248,9 @@ class InstanceSensor:
         if left < right and upper < lower:
             shifted = camera.K - np.array([[0, 0, left], [0, 0, upper], [0, 0, 0]])
             window = replace(camera, width=right - left, height=lower - upper, K=shifted)
-            self._alone.pose(self._alone_data, poses, np.arange(len(self._points)) == index)
-            silhouette = self._alone.sense(self._alone_data, window).geom >= 0
+            alone, data = self._alone
+            alone.pose(data, poses, np.arange(len(self._points)) == index)
+            silhouette = alone.sense(data, window).geom >= 0
             canvas[height + upper : height + lower, width + left : width + right] = silhouette
         mask = canvas[height : 2 * height, width : 2 * width]
         # At an edge, rays of the window and of the picture may round to different sides.

@@ -15,6 +15,7 @@ from cluttergen_jax.cli.import_ import Import
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.policies.embedded import list_policies
+from tests.helpers.options import options_in
 
 ROOT = Path(__file__).parents[2]
 FUNCTIONS = (
@@ -32,7 +33,6 @@ FUNCTIONS = (
     "push_bank",
     "pull_bank",
     "evaluate",
-    "evaluate_suite",
     "certify",
     "placer_data",
     "placer_eval",
@@ -55,15 +55,7 @@ def options_told(name, capsys, monkeypatch):
     """The flags of each option in the help of a command, and what is told of its default."""
     monkeypatch.setenv("COLUMNS", "300")
     assert main([*name.split(), "--help"]) == 0
-    text = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out).replace("│", " ")
-    assert "{None" not in text
-    told = {}
-    # An option begins its line after two spaces; what is said of it may go on below, further in.
-    for entry in re.findall(r"^  --?[a-z].*(?:\n {3,}\S.*)*", text, re.MULTILINE):
-        flags = re.findall(r"(?<![\w-])-{1,2}[a-z][\w-]*", re.split(r"(?<=\S) {2}|\n", entry)[0])
-        default = re.search(r"\((default: .*|required|optional)\)\s*$", entry)
-        told[", ".join(sorted(flags))] = default and default[1]
-    return {flags: default for flags, default in told.items() if flags != "--help, -h"}
+    return options_in(capsys.readouterr().out)
 
 
 @pytest.mark.parametrize("name", OPTIONS)

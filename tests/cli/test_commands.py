@@ -15,12 +15,10 @@ from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.cli.commands import COMMANDS, load, overview
 from cluttergen_jax.cli.main import main, parse_words
-from cluttergen_jax.config import METHODS
-from cluttergen_jax.downstream.suite import NAME as DOWNSTREAM
 from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.evaluation.suites import SUITES
 from cluttergen_jax.generation import generate, make_sampler
 from cluttergen_jax.learning.training.presets import PRESETS
+from cluttergen_jax.placement.methods.table import LEARNED, METHODS
 from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 from cluttergen_jax.placement.region import REGION_CHANGES
 from cluttergen_jax.scene.export.bank_folder import BANK_FORMATS
@@ -86,9 +84,9 @@ def test_the_table_of_commands_says_what_their_docstrings_say():
     ("words", "known"),
     [
         (config.Method, METHODS),
+        (config.Variant, LEARNED),
         (config.Preset, PRESETS),
         (config.Change, REGION_CHANGES),
-        (config.Suite, (*SUITES, DOWNSTREAM)),
         (config.ExportFormat, (*FORMATS, *BANK_FORMATS)),
     ],
 )

@@ -67,8 +67,6 @@ WRITERS = {
     "train guided": Writing("train --variant guided --out {out}"),
     "pretrain": Writing("pretrain --out {out}"),
     "evaluate": Writing("evaluate --pools {trio} --methods random --num-objects 2 --out {out}"),
-    "evaluate suite": Writing("evaluate --suite paper --quick --out {out}"),
-    "evaluate downstream": Writing("evaluate --suite downstream --only noise --quick --out {out}"),
     "placer data": Writing("placer data {bank} --out {out}"),
     "placer train": Writing("placer train {out} --out {out}"),
     "placer eval": Writing("placer eval {out} --out {out}"),

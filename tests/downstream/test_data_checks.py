@@ -6,9 +6,9 @@ import pytest
 
 import cluttergen_jax as cg
 from cluttergen_jax.downstream.placer.pairs.store import read_pairs
-from cluttergen_jax.downstream.studies.study import DownstreamScale
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.learning.ppo.ppo import PPOConfig
+from studies.downstream.suite_folder import DownstreamScale
 from tests.helpers.fuzzed_files import load_pairs, pairs_of, write_pairs
 from tests.helpers.records import unsigned
 

@@ -12,16 +12,16 @@ import pytest
 from PIL import Image
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.dataset import maker
-from cluttergen_jax.downstream.dataset.api import parse_splits
-from cluttergen_jax.downstream.dataset.files import INDEX, write_record
-from cluttergen_jax.downstream.dataset.views import ViewConfig
+from cluttergen_jax.api.dataset import parse_splits
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.scene.bank.scene import read_scenes
 from cluttergen_jax.schema import checked_record
 from cluttergen_jax.sensing import parse_cameras
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.rays import InstanceSensor
+from cluttergen_jax.views import dataset as plans
+from cluttergen_jax.views.dataset import ViewConfig
+from cluttergen_jax.views.shards import INDEX, write_record
 from tests.helpers.drawing import needs_gl
 from tests.helpers.placing import write_bank
 
@@ -136,10 +136,10 @@ def plan_of(index, is_success, shares, seed=0, num_scenes=None, rounds=(), monke
     """The plan of a dataset of a bank of which only these numbers are known."""
     table = pa.table({"index": index, "is_success": is_success})
     monkeypatch.setattr(
-        maker, "read_bank", lambda path: SimpleNamespace(tables=lambda columns: [table])
+        plans, "read_bank", lambda path: SimpleNamespace(tables=lambda columns: [table])
     )
     config = ViewConfig(parse_cameras(["overhead"], None), seed)
-    return maker.DatasetPlan.of(["bank"], shares, num_scenes, config, (), rounds)
+    return plans.DatasetPlan.of(["bank"], shares, num_scenes, config, (), rounds)
 
 
 def split_of(plan):
@@ -285,6 +285,27 @@ def test_colours_vary_as_asked_and_do_not_depend_on_other_scenes(bank, tmp_path)
     np.testing.assert_array_equal(image(rows_of(alone)[0]["rgb"]), varied[0])
 
 
+@needs_gl
+def test_bop_varies_what_is_asked_for_and_nothing_else(bank, tmp_path):
+    asked = {"cameras": ("free:2",), "size": SIZE, "seed": 3, "form": "bop", "num_scenes": 2}
+    plain = cg.make_dataset(bank.path, tmp_path / "plain", **asked).path / "train"
+    vary = ("texture", "light", "colour")
+    varied = cg.make_dataset(bank.path, tmp_path / "varied", vary=vary, **asked).path / "train"
+    files = {each.relative_to(plain) for each in plain.rglob("*") if each.is_file()}
+    assert files == {each.relative_to(varied) for each in varied.rglob("*") if each.is_file()}
+    differing = {
+        each for each in files if (plain / each).read_bytes() != (varied / each).read_bytes()
+    }
+    colours = {each for each in files if each.parent.name == "rgb"}
+    assert differing == colours | {each for each in files if each.name == "origin.json"}
+    again = cg.make_dataset(bank.path, tmp_path / "again", vary=vary, **asked).path / "train"
+    assert all((varied / each).read_bytes() == (again / each).read_bytes() for each in files)
+    origin = json.loads((varied / "000000" / "origin.json").read_bytes())
+    assert origin["settings"]["vary"] == "colour, light, texture"
+    with pytest.raises(BankError, match="holds views made with another vary"):
+        cg.make_dataset(bank.path, varied.parent, **asked)
+
+
 @pytest.mark.parametrize(
     "text", ["", "training", "train=0.5", "train=0.5,train=0.5", "train=0.5,test", "train=2,val=-1"]
 )
@@ -301,7 +322,7 @@ def test_splits_that_are_none_are_refused(text):
         ({"vary": ("lights",)}, "texture, light, colour"),
         ({"vary": ("light",)}, "without colours"),
         ({"vary": "light"}, "a sequence of words"),
-        ({"form": "bop", "vary": ("light",), "colour": True}, "with form 'bop'"),
+        ({"form": "bop", "vary": ("light",)}, "without colours"),
         ({"form": "bop", "cluster": "local"}, "with form 'bop'"),
         ({"size": "9x9"}, "16 to 8192 pixels"),
         ({"num_scenes": 0}, "num_scenes = 0"),

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from flax import struct
 
-from cluttergen_jax.downstream.parts import is_own, part_label, part_name
 from cluttergen_jax.downstream.placer.proposers import RandomPlacer, find_placer
 from cluttergen_jax.downstream.placer.query import Proposals, ask_plain, is_plain
 from cluttergen_jax.errors import BankError, ConfigError, PoolError
+from cluttergen_jax.own_parts import is_own, part_label, part_name
 
 
 class Scaled:

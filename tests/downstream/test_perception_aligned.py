@@ -9,9 +9,9 @@ pytest.importorskip("small_gicp", reason="needs the extra perception")
 
 from cluttergen_jax.downstream.perception.camera_correction import correct_camera
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
-from cluttergen_jax.downstream.perception.types import Look
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.geometry import yaw_matrix
+from cluttergen_jax.views.view import View
 from tests.helpers.perception import OBJECTS, POSES, TABLE, overhead, view_of
 
 MODELS = [ObjectModel.of(each) for each in OBJECTS]
@@ -30,7 +30,7 @@ def wrong():
     T[:3, :3] = yaw_matrix(np.radians(1)) @ T[:3, :3]
     T[:2, 3] += [0.004, -0.002]
     depth = np.where(np.isfinite(view.depth), view.depth, np.nan)
-    return Look(depth, view.label, replace(view.camera, T_world_camera=T))
+    return View(depth, view.label, replace(view.camera, T_world_camera=T))
 
 
 def error(look):

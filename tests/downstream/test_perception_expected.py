@@ -6,8 +6,9 @@ import pytest
 from cluttergen_jax.downstream.perception.mask_correction import correct_masks, find_unexplained
 from cluttergen_jax.downstream.perception.pose.compare import render_alone
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
-from cluttergen_jax.downstream.perception.types import ARM, BACKGROUND, FIRST_OBJECT, Look
+from cluttergen_jax.downstream.perception.types import ARM, BACKGROUND, FIRST_OBJECT
 from cluttergen_jax.downstream.transforms import matrix_of
+from cluttergen_jax.views.view import View
 from tests.helpers.perception import OBJECTS, POSES, TABLE, overhead, view_of
 
 RED, GREEN, BLUE = (FIRST_OBJECT + k for k in range(3))
@@ -17,7 +18,7 @@ MODELS = [ObjectModel.of(each) for each in OBJECTS]
 @pytest.fixture
 def look():
     view = view_of(POSES, overhead()).view
-    return Look(np.where(np.isfinite(view.depth), view.depth, np.nan), view.label, view.camera)
+    return View(np.where(np.isfinite(view.depth), view.depth, np.nan), view.label, view.camera)
 
 
 def expected(poses=POSES):
@@ -29,7 +30,7 @@ def mistaken(look, **labels):
     label = look.label.copy()
     for name, wrong in labels.items():
         label[look.label == {"red": RED, "green": GREEN, "blue": BLUE}[name]] = wrong
-    return Look(look.depth, label, look.camera)
+    return View(look.depth, label, look.camera)
 
 
 def test_an_object_alone_is_drawn_where_the_camera_sees_it(look):

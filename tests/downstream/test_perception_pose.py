@@ -23,11 +23,11 @@ from cluttergen_jax.downstream.perception.pose.compare import Comparer
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.perception.pose.pose_physics_check import PosePhysicsCheck
 from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator
-from cluttergen_jax.downstream.perception.types import Look
 from cluttergen_jax.downstream.robot.cameras import FOCAL, SIZE
 from cluttergen_jax.downstream.transforms import matrix_of, offset
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.sensing.camera import Camera
+from cluttergen_jax.views.view import View
 from tests.helpers.perception import OBJECTS, POSES, TABLE, ByColour, overhead, standing, view_of
 from tests.helpers.placing import with_surface
 from tests.helpers.worlds import box
@@ -42,7 +42,7 @@ def estimator():
 
 def look_at(poses, camera):
     view = view_of(poses, camera).view
-    return Look(np.where(np.isfinite(view.depth), view.depth, np.nan), view.label, camera)
+    return View(np.where(np.isfinite(view.depth), view.depth, np.nan), view.label, camera)
 
 
 def errors(estimator, index, estimate, true):
@@ -72,7 +72,7 @@ def test_a_small_handle_tells_that_an_object_has_turned(yaw, turned_by):
     turned = standing((0.004, 0.003, yaw + np.radians(turned_by)))
     true[0, 2] = turned[0, 2] = TABLE.top + mug.half_extents[2]
     view = view_of(true, SIDE, objects=(mug,)).view
-    look = Look(np.where(np.isfinite(view.depth), view.depth, np.nan), view.label, SIDE)
+    look = View(np.where(np.isfinite(view.depth), view.depth, np.nan), view.label, SIDE)
     estimator = RegistrationEstimator((mug,), TABLE)
     assert errors(estimator, 0, estimator(0, [look], turned[0]), true[0])[1] < 5
 
@@ -114,8 +114,8 @@ def test_filling_air_that_was_seen_to_be_empty_speaks_against_a_pose():
     label = np.where(half, 0, true.label).astype(np.uint8)
     nothing = np.where(half, np.nan, true.depth)
     pose = matrix_of(POSES[0])
-    in_air = Comparer(model, 0, [Look(depth, label, SIDE)])(pose).score
-    unknown = Comparer(model, 0, [Look(nothing, label, SIDE)])(pose).score
+    in_air = Comparer(model, 0, [View(depth, label, SIDE)])(pose).score
+    unknown = Comparer(model, 0, [View(nothing, label, SIDE)])(pose).score
     assert unknown > 0.9
     assert in_air < 0.65
 

@@ -8,18 +8,21 @@ import pytest
 from cluttergen_jax.downstream.perception.frames import Frame, read_frame, write_frame
 from cluttergen_jax.downstream.perception.types import ARM, FIRST_OBJECT
 from cluttergen_jax.downstream.perception.views import store as stored
-from cluttergen_jax.downstream.perception.views.maker import ViewConfig, ViewMaker, write_views
-from cluttergen_jax.downstream.perception.views.stage import (
-    SIZE,
+from cluttergen_jax.downstream.perception.views.maker import (
+    PerceptionViewConfig,
+    PerceptionViews,
+    write_views,
 )
 from cluttergen_jax.downstream.perception.views.store import VIEWS, row_of
+from cluttergen_jax.downstream.robot.cameras import SIZE
 from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.views.view import View
 from tests.helpers.drawing import IS_DRAWING, STATUS, needs_gl
 from tests.helpers.perception import POSES, overhead, view_of
 from tests.helpers.placing import seen_trio, write_bank
 from tests.helpers.records import unsigned
 
-CONFIG = ViewConfig(seed=5, arm=0.0)
+CONFIG = PerceptionViewConfig(seed=5, arm=0.0)
 
 
 def rows_of(path):
@@ -44,13 +47,13 @@ def views(tmp_path_factory, bank):
 @pytest.mark.parametrize("num_banks", [1, 2, 3])
 def test_so_many_views_have_the_arm_as_were_asked_for(num_banks):
     for seed in range(5):
-        maker = ViewMaker(
-            [None] * num_banks, None, ViewConfig(seed=seed, arm=0.3), "train", None, 3
+        drawn = PerceptionViews(
+            [None] * num_banks, None, PerceptionViewConfig(seed=seed, arm=0.3), "train", None, 3
         )
         pairs = range(30 * num_banks)
-        assert sum(map(maker.has_arm, pairs)) == 9 * num_banks
-        assert sum(map(maker.is_robots, pairs)) == 18 * num_banks
-        assert abs(sum(map(maker.has_arm, pairs[:10])) - 3) <= 1
+        assert sum(map(drawn.has_arm, pairs)) == 9 * num_banks
+        assert sum(map(drawn.is_robots, pairs)) == 18 * num_banks
+        assert abs(sum(map(drawn.has_arm, pairs[:10])) - 3) <= 1
 
 
 # What is stored
@@ -62,7 +65,7 @@ def test_a_row_holds_the_view_to_a_tenth_of_a_millimetre():
     depth[0, 0] = np.inf
     depth[0, 1] = 9.0
     seen = stored.StoredView(
-        7, stored.RgbdImage(view.view.rgb, depth, view.view.label, view.view.camera), *_rest(view)
+        7, View(depth, view.view.label, view.view.camera, view.view.rgb), *_rest(view)
     )
     back = stored._view_of(row_of(seen, 3, 1))
     assert np.isinf(back.view.depth[0, :2]).all()
@@ -104,7 +107,7 @@ def test_the_same_settings_make_the_same_views_and_more_goes_on(views, bank, tmp
     assert rows_of(more.path) == rows_of(views.path)
     assert np.array_equal(short[1].view.rgb, list(more.views("train"))[1].view.rgb)
     with pytest.raises(BankError, match="another seed"):
-        write_views(more.path, {"made": bank}, "train", 6, ViewConfig(seed=6, arm=0.0))
+        write_views(more.path, {"made": bank}, "train", 6, PerceptionViewConfig(seed=6, arm=0.0))
     record = json.loads((more.path / VIEWS.index).read_text())
     (more.path / VIEWS.index).write_text(json.dumps(unsigned(record) | {"names": ["a"]}))
     with pytest.raises(BankError, match="other objects"):

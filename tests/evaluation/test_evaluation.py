@@ -11,7 +11,6 @@ from cluttergen_jax.evaluation.episodes import (
     figures_of,
     run_episodes,
 )
-from cluttergen_jax.evaluation.studies.paper_figures import at_least
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout, sample_blocks
 from tests.helpers.problems import made_up_rules
 
@@ -54,7 +53,4 @@ def test_figures_by_hand(made_up):
     assert figures["rest_steps"]["mean"] == 23
     loose = figures_of(outcome, has_last_check=False)
     assert loose["success"] == scenes.is_filled.mean()
-    shares = at_least(figures["placed_histogram"])
-    assert shares == sorted(shares, reverse=True)
-    assert shares[-1] == figures["filled"]
     json.dumps(figures, allow_nan=False)

@@ -1,8 +1,7 @@
-"""Comparing methods and making suites: from Python, and from the command line."""
+"""Comparing methods from the command line."""
 
 import json
 
-import cluttergen_jax
 from cluttergen_jax.cli.evaluate import Evaluate
 from cluttergen_jax.cli.main import run
 
@@ -10,8 +9,7 @@ SUPPORTS = ("table", "round_table")
 
 
 def command(tmp_path, **options):
-    objects = {} if "suite" in options else {"num_objects": 2}
-    return run(Evaluate(trials=4, out=str(tmp_path), **objects, **options))
+    return run(Evaluate(trials=4, out=str(tmp_path), num_objects=2, **options))
 
 
 def test_command_takes_up_what_was_made_before(tmp_path, capsys):
@@ -44,26 +42,3 @@ def test_command_takes_up_what_was_made_before(tmp_path, capsys):
     )
     assert "error: 1 row could not be made; why stands below the table" in said
     assert json.loads((tmp_path / "results.json").read_text())[0] == first
-
-
-def test_a_suite_from_python_hands_out_each_study_as_it_is_done(tmp_path):
-    given = []
-    # One scene of each row, too few to tell anything about how different scenes are.
-    results = cluttergen_jax.evaluate_suite(
-        "extended",
-        only=("diversity",),
-        methods=("random",),
-        trials=1,
-        out=tmp_path,
-        show=given.append,
-    )
-    assert given == results
-    (result,) = results
-    assert (result["suite"], result["name"], result["trials"]) == ("extended", "diversity", [1])
-    assert [row["support"] for row in result["measure"]["rows"]] == [
-        "table-0.60x0.70",
-        "table-0.40x0.50",
-    ]
-    assert all("of 1 scenes succeed" in row["missing"] for row in result["measure"]["rows"])
-    assert json.loads((tmp_path / "diversity.json").read_text()) == result
-    assert all((tmp_path / name).is_file() for name in ("diversity.md", "diversity.csv", "all.md"))

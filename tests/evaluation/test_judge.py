@@ -9,11 +9,11 @@ import pytest
 from PIL import Image
 
 import cluttergen_jax as cg
-from benchmarks.plain_judge import judge as judge_plainly
-from benchmarks.repair import disturb
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.scene.export import export_scenes
+from studies.benchmarks.plain_judge import judge as judge_plainly
+from studies.benchmarks.repair import disturb
 from tests.helpers.exports import dining_scene
 
 _BOX = '<body name="{}" pos="{} {} {}"><freejoint/><geom type="box" size=".1 .1 .1" {}/>{}</body>'
@@ -215,7 +215,7 @@ def test_usd_weighs_what_it_states(tmp_path):
     pxr = pytest.importorskip("pxr", reason="needs the extra usd")
     from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade
 
-    from cluttergen_jax.evaluation.judging.usd_scene import read_usd
+    from cluttergen_jax.judging.usd_scene import read_usd
 
     assert pxr
     stage = Usd.Stage.CreateNew(str(tmp_path / "scene.usda"))

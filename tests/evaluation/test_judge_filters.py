@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from benchmarks.plain_judge import judge as judge_plainly
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.evaluation.judging.rule import find_free_bodies
+from cluttergen_jax.judging.rule import find_free_bodies
+from studies.benchmarks.plain_judge import judge as judge_plainly
 
 CASES = Path(__file__).parents[1] / "cases" / "judge"
 QUICK = {"seconds": (0.1,), "detectors": ("native",)}

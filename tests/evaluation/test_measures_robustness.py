@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.evaluation.certify import certificates
-from cluttergen_jax.evaluation.measures.robustness import (
+from cluttergen_jax.judging.certify import certificates
+from cluttergen_jax.judging.robustness import (
     PHYSICS_CHANGES,
     RobustConfig,
     ShakeConfig,
@@ -17,8 +17,7 @@ from cluttergen_jax.evaluation.measures.robustness import (
     shake,
     survives,
 )
-from cluttergen_jax.evaluation.measures.scene_models import SceneModels
-from cluttergen_jax.evaluation.measures.simulate import movement
+from cluttergen_jax.judging.scene_models import SceneModels, movement
 from cluttergen_jax.placement.world import make_world
 from tests.helpers.worlds import TOP, box
 

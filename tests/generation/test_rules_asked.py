@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.config import TRUSTED_METHODS, VerifyConfig
+from cluttergen_jax.config import VerifyConfig
 from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.generation.sources.scene_sources import open_source
 from cluttergen_jax.placement.config import MIN_MARGIN
+from cluttergen_jax.placement.methods.table import TRUSTED
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.card import card_text
 from cluttergen_jax.scene.bank.stats import stats_of
@@ -22,13 +23,13 @@ def rules(method, **asked):
     return {name: getattr(decided, name) for name in RULES}
 
 
-@pytest.mark.parametrize("method", [*TRUSTED_METHODS, "drop", None])
+@pytest.mark.parametrize("method", [*TRUSTED, "drop", None])
 def test_the_papers_rules_hold_whatever_the_method(method):
     assert rules(method, setting="paper") == PAPER
 
 
 @pytest.mark.parametrize("setting", ["default", "paper"])
-@pytest.mark.parametrize("method", [TRUSTED_METHODS[0], "drop"])
+@pytest.mark.parametrize("method", [TRUSTED[0], "drop"])
 def test_what_is_given_wins(setting, method):
     given = {"order": "fixed", "ruin_after": 0, "budget": 70, "min_margin": 0.0}
     assert rules(method, setting=setting, **given) == given

@@ -36,22 +36,22 @@ from cluttergen_jax.config import ContactConfig, StabilityConfig, VerifyConfig
 from cluttergen_jax.downstream.robot import description
 from cluttergen_jax.downstream.robot.description import read_robot
 from cluttergen_jax.errors import BankError, ClutterGenError
-from cluttergen_jax.evaluation.judging.scene_files import load_model, read_model, read_starts
 from cluttergen_jax.generation import repair
 from cluttergen_jax.generation.layout_json import read_layout_json
 from cluttergen_jax.generation.layouts import read_layout
 from cluttergen_jax.importing import sets
 from cluttergen_jax.importing.readers import find_sources, read_shape
 from cluttergen_jax.importing.settings import read_settings
+from cluttergen_jax.judging.scene_files import load_model, read_model, read_starts
+from cluttergen_jax.judging.verify import verify_scene
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
 from cluttergen_jax.learning.ppo.checkpoint import read_policy, save_policy
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.scene import read_scenes
 from cluttergen_jax.scene.bank.stats import stats_of
-from cluttergen_jax.scene.bank.verify import verify_scene
 from cluttergen_jax.scene.mjcf_file import read_mjcf_scene
 from cluttergen_jax.scene.xml import scene_xml
-from cluttergen_jax.sensing.camera_plan import parse_cameras
+from cluttergen_jax.sensing.camera import parse_cameras
 from tests.helpers import banks
 from tests.helpers.fuzzed_files import OWN, plain, without_seal
 from tests.helpers.gltf import skinned

@@ -14,7 +14,6 @@ import pytest
 
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import AssetError, ConfigError
-from cluttergen_jax.evaluation.judging.scene_files import read_model
 from cluttergen_jax.files import fault_of_file
 from cluttergen_jax.importing import run
 from cluttergen_jax.importing.limited import call_limited
@@ -23,6 +22,7 @@ from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_sha
 from cluttergen_jax.importing.readers.pieces import whole_of
 from cluttergen_jax.importing.readers.xml_tree import parse_text
 from cluttergen_jax.importing.run import ImportConfig, import_sources
+from cluttergen_jax.judging.scene_files import read_model
 from cluttergen_jax.scene.mjcf_file import read_mjcf_scene
 from tests.helpers import banks
 from tests.helpers.cases import CASES, READERS

@@ -30,8 +30,8 @@ from cluttergen_jax.learning.training.stability import (
     fit,
     predictions_of,
 )
-from cluttergen_jax.placement.baselines import LowestFit
 from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.methods.baselines import LowestFit
 from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 
 SMALL = StabilityNetConfig(width=16)

@@ -7,9 +7,9 @@ import pytest
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.learning.training.worlds import TrainingSetting, WorldMaker
-from cluttergen_jax.placement.baselines import LowestFit
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.heightmap import HeightMapper
+from cluttergen_jax.placement.methods.baselines import LowestFit
 from cluttergen_jax.placement.problem import ProblemConfig, compose
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout
 from cluttergen_jax.placement.world import geometry_of, pad_geometry

@@ -14,9 +14,9 @@ from shapely import MultiPoint, unary_union
 from shapely.geometry import Polygon
 from shapely.geometry import box as rectangle
 
-from cluttergen_jax.placement.baselines import make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.heightmap import HeightMapper
+from cluttergen_jax.placement.methods.table import make_proposer
 from cluttergen_jax.placement.problem import Problem, ProblemConfig, make_problem
 from cluttergen_jax.placement.region import pose_of_action
 from cluttergen_jax.placement.rollout import BlockSampler

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.measures import relations
 from cluttergen_jax.generation.sampler import make_sampler
 from cluttergen_jax.placement.boxes import Boxes
 from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.placement.containers import draw_contents, is_contained, num_contained, pairs_in
 from cluttergen_jax.placement.types import Hollows
 from cluttergen_jax.spec import SceneSpec
+from studies.measures import relations
 from tests.helpers.problems import made_up_rules
 
 HALF = np.array([[0.1, 0.1, 0.05], [0.02, 0.02, 0.03], [0.09, 0.01, 0.03]], np.float32)

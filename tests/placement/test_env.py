@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cluttergen_jax.placement.baselines import make_proposer
 from cluttergen_jax.placement.clouds import scene_cloud
 from cluttergen_jax.placement.env import PlacementEnv
+from cluttergen_jax.placement.methods.table import make_proposer
 from cluttergen_jax.placement.observation import ObservationConfig
 from cluttergen_jax.placement.region import from_pose
 from cluttergen_jax.types import Verdict

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.placement.baselines import make_proposer
 from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.methods.table import make_proposer
 from cluttergen_jax.placement.problem import ProblemConfig, compose
 from cluttergen_jax.placement.region import pose_of_action
 from cluttergen_jax.placement.rollout import BlockSampler

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.placement.baselines import make_proposer
 from cluttergen_jax.placement.config import MAX_MARGIN, ORDER_POWER, PlacementConfig
 from cluttergen_jax.placement.env import PlacementEnv
+from cluttergen_jax.placement.methods.table import make_proposer
 from cluttergen_jax.placement.problem import ProblemConfig, compose
 from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.placement.rollout.record import Recorder

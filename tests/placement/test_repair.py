@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from benchmarks.repair import rests_on, write_disturbed
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import product, rotation_matrix, turn_between
 from cluttergen_jax.placement.repair import MAX_TILT, put_upright
+from studies.benchmarks.repair import rests_on, write_disturbed
 
 
 def test_an_orientation_loses_its_tilt_by_the_least_turn():

@@ -10,8 +10,8 @@ import pytest
 from cluttergen_jax.generation import make_sampler
 from cluttergen_jax.learning.agents import make_agent
 from cluttergen_jax.learning.policies.policy import make_policy
-from cluttergen_jax.placement.baselines import make_proposer
 from cluttergen_jax.placement.env import PlacementEnv
+from cluttergen_jax.placement.methods.table import make_proposer
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout
 from tests.helpers.problems import HalfTable, made_up_rules
 from tests.helpers.runs import SMALL

@@ -10,8 +10,8 @@ from cluttergen_jax.assets.support import Rectangle, parse_surfaces
 from cluttergen_jax.assets.support_map import VOID, check_region
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement.baselines import LowestFit
 from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.methods.baselines import LowestFit
 from cluttergen_jax.placement.problem import ProblemConfig, compose, region_of
 from cluttergen_jax.placement.search.fit import Candidates
 from cluttergen_jax.placement.search.search import FORBIDDEN

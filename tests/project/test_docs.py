@@ -22,6 +22,7 @@ GUIDES = [DOCS / "start.md", *sorted(DOCS.glob("guide/*.md")), *sorted(DOCS.glob
 TEXTS = [ROOT / "README.md", ROOT / "AGENTS.md", *GUIDES]
 PACKAGES = re.findall(r"reference/python/(\w+)\.md", (ROOT / "mkdocs.yml").read_text())
 OPTIONS = json.loads((ROOT / "tests" / "cli" / "options.json").read_text())
+SUITE_OPTIONS = json.loads((ROOT / "tests" / "studies" / "options.json").read_text())
 
 
 def blocks(path, language):
@@ -71,7 +72,8 @@ def test_commands_of_a_page_have_their_options(path):
         if words[:1] != ["cluttergen"]:
             continue
         name = " ".join(words[1:3]) if " ".join(words[1:3]) in OPTIONS else words[1]
-        known = {flag for flags in OPTIONS[name] for flag in flags.split(", ")} | {"--help"}
+        options = SUITE_OPTIONS if name == "evaluate" and "--suite" in words else OPTIONS[name]
+        known = {flag for flags in options for flag in flags.split(", ")} | {"--help"}
         assert {word for word in words if re.match(r"--?[a-z]", word)} <= known, line
 
 

@@ -10,13 +10,13 @@ import cluttergen_jax as cg
 from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.pool import read_pool
 from cluttergen_jax.assets.support_file import read_support, support_hash
+from cluttergen_jax.judging.verify import scene_files, verify_scene
 from cluttergen_jax.learning.methods import proposer_of
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
 from cluttergen_jax.learning.policies.embedded import list_policies
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.verify import scene_files, verify_scene
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 # Banks know their objects and their support by these.

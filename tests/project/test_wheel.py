@@ -82,6 +82,8 @@ def test_both_distributions_are_ready_to_be_published(tmp_path):
     )
     assert {str(path) for path in inside} <= held
     assert not any("ablations" in name or "/ready/" in name for name in held)
+    tops = {name.partition("/")[0] for name in held}
+    assert {top for top in tops if not top.endswith(".dist-info")} == {"cluttergen_jax"}
 
 
 @pytest.mark.slow
@@ -97,7 +99,7 @@ def test_source_distribution_carries_what_the_documents_speak_of(tmp_path):
     for folder, kind in (
         ("docs", "*"),
         ("examples", "*.py"),
-        ("benchmarks", "*.py"),
+        ("studies", "**/*.py"),
         ("tests", "*.py"),
     ):
         assert {

@@ -9,7 +9,7 @@ from cluttergen_jax.errors import ClutterGenError, ConfigError
 from cluttergen_jax.generation.layouts import read_layout
 from cluttergen_jax.importing.settings import read_settings
 from cluttergen_jax.schema import SchemaError, parse_toml, parse_written_json, parse_yaml
-from cluttergen_jax.sensing.camera_plan import parse_cameras
+from cluttergen_jax.sensing.camera import parse_cameras
 
 MERGED = "l0: &l0 {a: 1}\n" + "".join(
     f"l{i}: &l{i} {{<<: [*l{i - 1}, *l{i - 1}]}}\n" for i in range(1, 30)

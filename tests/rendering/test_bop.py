@@ -14,9 +14,11 @@ from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.rendering.bop import SPLIT, BopDataset, add_models, model_ply
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.sensing.camera import Camera, free
+from cluttergen_jax.views.bop import SPLIT, BopDataset, add_models, model_ply
+from cluttergen_jax.views.maker import ViewMaker
+from cluttergen_jax.views.view import SeenScene
 from tests.helpers.drawing import RED, needs_gl
 from tests.helpers.worlds import box
 
@@ -46,12 +48,22 @@ def scene():
     return objects, np.array([[*at, 0.7 + z, *turn] for at, z in zip(xy, half, strict=True)])
 
 
+def add(dataset, number, objects, poses, cameras, is_drawn=True):
+    """What some cameras see of objects on the table, as a scene of a dataset; its folder."""
+    names = [str(place) for place in range(len(objects))]
+    scene = SeenScene(number, names, objects, poses, TABLE, TABLE.region)
+    with ViewMaker(PICTURE, is_drawn=is_drawn) as maker:
+        maker.place(objects, poses, TABLE)
+        views = [maker.see(camera, has_instances=True) for camera in cameras]
+    return dataset.add(number, scene, views)
+
+
 @pytest.fixture(scope="module")
 def dataset(scene, tmp_path_factory):
     folder = tmp_path_factory.mktemp("bop")
     rng = np.random.default_rng(1)
     cameras = [free(TABLE, rng, *SIZE) for _ in range(2)]
-    BopDataset(folder).add(3, *scene, TABLE, cameras, PICTURE)
+    add(BopDataset(folder), 3, *scene, cameras)
     return folder, cameras
 
 
@@ -170,7 +182,7 @@ def test_masks_are_where_a_rasteriser_of_that_origin_has_them(
     poses = np.array([[0.0, 0, 0.75, 0.8, 0, 0, 0.6]])
     cameras = [free(TABLE, rng, *SIZE) for _ in range(4)]
     dataset = BopDataset(tmp_path, pixel_origin=pixel_origin)
-    images = dataset.add(0, [RED], poses, TABLE, cameras, PICTURE, is_drawn=False)
+    images = add(dataset, 0, [RED], poses, cameras, is_drawn=False)
     seen, gts = (load(images / f"scene_{name}.json") for name in ("camera", "gt"))
     model = trimesh.load(tmp_path / "models" / "obj_000001.ply", process=False)
     for view, camera in enumerate(cameras):

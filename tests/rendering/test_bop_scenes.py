@@ -10,7 +10,7 @@ from cluttergen_jax.api.render import render
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
-from cluttergen_jax.rendering.bop import BopDataset
+from cluttergen_jax.views.bop import BopDataset
 from tests.helpers import banks
 from tests.helpers.worlds import trio
 

@@ -5,16 +5,15 @@ import pytest
 from PIL import Image
 
 from cluttergen_jax.errors import ConfigError, MissingExtraError
-from cluttergen_jax.rendering import video
+from cluttergen_jax.rendering import film
 from cluttergen_jax.rendering.config import FilmConfig
 from cluttergen_jax.rendering.figure import GREEN as GREEN_RING
 from cluttergen_jax.rendering.figure import closed_loop_figure
-from cluttergen_jax.rendering.film import replay, replay_frames, turntable
+from cluttergen_jax.rendering.film import replay, replay_frames, save_film, turntable
 from cluttergen_jax.rendering.scene_renderer import (
     RED,
     PictureConfig,
 )
-from cluttergen_jax.rendering.video import save_film
 from cluttergen_jax.sensing.camera import Camera
 from tests.helpers.drawing import needs_gl
 from tests.helpers.recordings import cubes
@@ -123,7 +122,7 @@ def test_films_that_cannot_be_are_refused_and_leave_nothing(tmp_path, monkeypatc
     with pytest.raises(ConfigError, match="frames per second"):
         save_film(moving_square(), tmp_path / "a.gif", 120)
     monkeypatch.setitem(__import__("sys").modules, "imageio_ffmpeg", None)
-    monkeypatch.setattr(video.shutil, "which", lambda name: None)
+    monkeypatch.setattr(film.shutil, "which", lambda name: None)
     with pytest.raises(MissingExtraError, match="cluttergen_jax\\[video\\]"):
         save_film(moving_square(), tmp_path / "a.mp4", 20)
     assert list(tmp_path.iterdir()) == []

@@ -1,22 +1,21 @@
 """The page of results and the records that it is made of; no part of the source distribution."""
 
-import importlib.util
 from pathlib import Path
 
 import pytest
 
-from cluttergen_jax.downstream.suite import STUDIES as DOWNSTREAM
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.report import (
+from studies import make_results
+from studies.methods import table1
+from studies.report import (
     document,
     provenance,
     read_results,
     tables_of,
     with_earlier_rows,
 )
-from cluttergen_jax.evaluation.studies import table1
-from cluttergen_jax.evaluation.studies.study import Scale
-from cluttergen_jax.evaluation.suites import STUDIES
+from studies.study import Scale
+from studies.suites import STUDIES
 
 REPORTS = Path(__file__).parents[2] / "reports"
 
@@ -25,14 +24,11 @@ def test_results_page_agrees_with_its_json():
     results = read_results(REPORTS / "results")
     notes = (REPORTS / "missed.md").read_text(encoding="utf-8")
     # New studies have no result until they are made.
-    assert {result["name"] for result in results} <= {*STUDIES, *DOWNSTREAM}
+    assert {result["name"] for result in results} <= set(STUDIES)
     assert (REPORTS / "results.md").read_text(encoding="utf-8") == document(results, notes)
 
 
 def test_rows_of_episodes_come_with_what_a_suite_made(tmp_path, monkeypatch):
-    spec = importlib.util.spec_from_file_location("make_results", REPORTS / "make_results.py")
-    make_results = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(make_results)
     monkeypatch.setattr(make_results, "FOLDER", tmp_path / "results")
     rows = tmp_path / "made" / "episodes" / "rearrange-3-true" / "paper" / "episodes.jsonl"
     (rows.parent / "films").mkdir(parents=True)

@@ -10,9 +10,10 @@ from PIL import Image
 
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError
+from cluttergen_jax.judging import verify
+from cluttergen_jax.judging.verify import verify_scene
 from cluttergen_jax.rendering.gl import renderer_status
-from cluttergen_jax.scene.bank import read_bank, verify
-from cluttergen_jax.scene.bank.verify import verify_scene
+from cluttergen_jax.scene.bank import read_bank
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from cluttergen_jax.assets.shading import linear
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.scene.bank.verify import verify_scene
+from cluttergen_jax.judging.verify import verify_scene
 from cluttergen_jax.scene.export import FORMATS, export_scenes
 from tests.helpers.exports import CLOSE, assert_same_pose, matrix, spread
 from tests.helpers.worlds import trio

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.scene import CAMERAS, Camera, scene_cameras
+from cluttergen_jax.scene import CAMERAS, FixedCamera, scene_cameras
 from tests.helpers.exports import exporter, spread
 
 NAMES = ("mug", "bottle", "soup_can", "bowl")
@@ -67,7 +67,7 @@ def test_the_same_camera_in_opencvs_frame(scene):
         np.testing.assert_allclose(pinhole.project(middle)[0], [320, 240], atol=1e-9)
         lifted = middle + 0.01 * camera.rotation[:, 1]
         assert pinhole.project(lifted)[0][1] < 239
-        again = Camera.of(camera.name, pinhole)
+        again = FixedCamera.of(camera.name, pinhole)
         for name in ("position", "quaternion", "fovy"):
             np.testing.assert_allclose(getattr(again, name), getattr(camera, name), atol=1e-12)
 

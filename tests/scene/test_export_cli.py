@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.cli.main import main
+from cluttergen_jax.judging.verify import verify_scene
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.verify import verify_scene
 from tests.helpers.exports import fourteen_scenes
 
 

@@ -122,6 +122,7 @@ def test_a_wrong_format_is_told_apart(asked, said, file, tmp_path):
     ("changed", "said"),
     [
         ({"name": "mjcf"}, "called 'mjcf', which this package has.*my-mjcf"),
+        ({"name": "lerobot"}, "called 'lerobot', which this package has"),
         ({"name": "a/b"}, "name 'a/b'"),
         ({"ending": ""}, "ending ''"),
         ({"write_scene": None}, "write_scene is None"),

@@ -24,7 +24,7 @@ _CALLS = {"read_pickle", "to_pickle", "loads_pickle", "unpickle"}
 
 def _files() -> list[Path]:
     programs = [*REPOSITORY.glob("*.py"), *(REPOSITORY / "examples").glob("*.py")]
-    return [*sorted(ROOT.rglob("*.py")), *programs, *(REPOSITORY / "benchmarks").glob("*.py")]
+    return [*sorted(ROOT.rglob("*.py")), *programs, *(REPOSITORY / "studies").rglob("*.py")]
 
 
 def faults_of(text: str) -> list[str]:
@@ -71,7 +71,7 @@ def test_nothing_can_unpickle_a_file():
     # Questions to the process that reads strangers' files, and its answers, go through pipes.
     assert set(faults.pop("cluttergen_jax/importing/limited.py")) == {"pickle"}
     # What a part of a user's own holds is written to take its hash, and never read.
-    assert faults.pop("cluttergen_jax/downstream/parts.py") == ["pickle"]
+    assert faults.pop("cluttergen_jax/own_parts.py") == ["pickle"]
     assert not any(faults.values()), faults
 
 

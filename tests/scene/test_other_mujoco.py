@@ -22,7 +22,7 @@ from tests.helpers.worlds import TOP, layout_of, prism, scene, tilted, trio
 
 VERSIONS = ("3.3.7", "3.5.0", "3.10.0")
 OLDER = ("3.0.1", "3.2.0")
-SCRIPT = Path(__file__).parents[2] / "benchmarks" / "other_mujoco.py"
+SCRIPT = Path(__file__).parents[2] / "studies" / "benchmarks" / "other_mujoco.py"
 BOTH = StabilityConfig(both_detectors=True)
 
 

@@ -6,7 +6,7 @@ import mujoco
 import pytest
 
 from cluttergen_jax.assets.pool import EMBEDDED
-from cluttergen_jax.scene.bank.verify import verify_scene
+from cluttergen_jax.judging.verify import verify_scene
 
 READY = Path(__file__).parents[2] / "scenes" / "ready"
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.sensing.camera import Camera
-from cluttergen_jax.sensing.camera_plan import parse_cameras
+from cluttergen_jax.sensing.camera import Camera, parse_cameras
 from tests.helpers.worlds import TOP, cuboid_table
 
 SUPPORT = cuboid_table()

@@ -13,7 +13,7 @@ from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.robot.model import Robot as Arm
 from cluttergen_jax.downstream.robot.model import arm_spec as whole_arm
 from cluttergen_jax.downstream.robot.model import remove_unused_meshes
-from cluttergen_jax.scene.cameras import Camera
+from cluttergen_jax.scene.cameras import FixedCamera
 
 HAND_CAMERA = "hand"
 """The camera on the hand; others bear the names of `scene.cameras`."""
@@ -30,7 +30,7 @@ def arm_spec(contact: ContactConfig, robot: RobotDescription, is_simple: bool) -
         spec.delete(light)
     if is_simple:
         _simplify(spec, robot)
-    camera = Camera.of(HAND_CAMERA, wrist_camera(gripper_of(robot).T_hand_tool))
+    camera = FixedCamera.of(HAND_CAMERA, wrist_camera(gripper_of(robot).T_hand_tool))
     spec.body(robot.of_gripper(robot.gripper.body)).add_camera(
         name=HAND_CAMERA,
         pos=camera.position,

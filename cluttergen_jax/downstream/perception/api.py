@@ -69,7 +69,7 @@ def perception_data(
     from cluttergen_jax.assets.pool import find_pool
     from cluttergen_jax.downstream.perception.views.maker import (
         VIEWS_A_SCENE,
-        ViewConfig,
+        PerceptionViewConfig,
         write_views,
     )
     from cluttergen_jax.downstream.perception.views.store import VIEWS
@@ -85,7 +85,7 @@ def perception_data(
     check_range("num_views", num_views, 1, MAX_VIEWS, 6000)
     if split not in SPLITS:
         raise ConfigError(f"split = {split!r}", ", ".join(SPLITS))
-    config = ViewConfig(seed=SPLITS[split] + seed, arm=arm)
+    config = PerceptionViewConfig(seed=SPLITS[split] + seed, arm=arm)
     if arm:
         find_robot()
     most = len(find_pool(pool).objects)

@@ -13,8 +13,8 @@ import numpy as np
 from cluttergen_jax.downstream.perception.pose.compare import Comparer
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.perception.pose.registration import FEWEST_PIXELS, SURE
-from cluttergen_jax.downstream.perception.types import Look
 from cluttergen_jax.geometry import yaw_matrix
+from cluttergen_jax.views.view import View
 
 FEWEST_KNOWN = 3
 """Objects that must be seen near where they are known to be; with fewer nothing is corrected."""
@@ -30,8 +30,8 @@ _ROUNDS = 10
 
 
 def correct_camera(
-    look: Look, known: dict[int, tuple[ObjectModel, np.ndarray]], share: float = 1.0
-) -> Look:
+    look: View, known: dict[int, tuple[ObjectModel, np.ndarray]], share: float = 1.0
+) -> View:
     """The look with its camera moved in plan and turned about the vertical: objects are where they were.
 
     Args:
@@ -57,7 +57,7 @@ def correct_camera(
 
 
 def _seen_beside(
-    look: Look, number: int, model: ObjectModel, pose: np.ndarray
+    look: View, number: int, model: ObjectModel, pose: np.ndarray
 ) -> np.ndarray | None:
     """f64[2], metres: how far from its pose an object agrees best with a look; None if it agrees nowhere."""
     if look.mask(number).sum() < FEWEST_PIXELS:

@@ -41,7 +41,6 @@ from cluttergen_jax.downstream.perception.types import (
     ARM,
     BACKGROUND,
     FIRST_OBJECT,
-    Look,
     PoseEstimate,
     PoseEstimator,
     Segmenter,
@@ -50,6 +49,7 @@ from cluttergen_jax.downstream.perception.types import (
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.sensing import Camera, Grid, level_camera
+from cluttergen_jax.views.view import View
 
 _AGREED = 0.5
 """Certainty from which on a pose tells where a camera is."""
@@ -127,7 +127,7 @@ class SceneFinder:
         camera: Camera,
         is_own: np.ndarray | None = None,
         among: Sequence[str] | None = None,
-    ) -> Look:
+    ) -> View:
         """One picture, segmented; the known table corrects the camera's height and orientation.
 
         Args:
@@ -145,11 +145,11 @@ class SceneFinder:
         label = self._segmenter(rgb, depth, camera, among).label
         if is_own is not None:
             label = np.where(is_own, ARM, label)
-        return Look(depth, label, camera)
+        return View(depth, label, camera)
 
     def __call__(
         self,
-        looks: Sequence[Look],
+        looks: Sequence[View],
         names: Sequence[str] | None = None,
         near: np.ndarray | None = None,
         share: float = 1.0,
@@ -182,13 +182,13 @@ class SceneFinder:
         return self._find(self._correct_cameras(looks, asked, near, share), asked, near, lead)
 
     def _correct_cameras(
-        self, looks: Sequence[Look], names: Sequence[str], known: np.ndarray, share: float
-    ) -> list[Look]:
+        self, looks: Sequence[View], names: Sequence[str], known: np.ndarray, share: float
+    ) -> list[View]:
         there = self._at(_poses_by_number(self.names, names, known))
         return [correct_camera(look, there, share) for look in correct_masks(looks, there)]
 
     def _find(
-        self, looks: Sequence[Look], asked: Sequence[str], near: np.ndarray, most: np.ndarray
+        self, looks: Sequence[View], asked: Sequence[str], near: np.ndarray, most: np.ndarray
     ) -> FoundScene:
         """As `__call__`; `most` f64[n]: what each pose's lead is at most."""
         numbers = [self.names.index(name) for name in asked]
@@ -230,7 +230,7 @@ class SceneFinder:
         )
 
     def _seek_in_the_rest(
-        self, looks: Sequence[Look], unsure: Sequence[int], estimates: dict[int, PoseEstimate]
+        self, looks: Sequence[View], unsure: Sequence[int], estimates: dict[int, PoseEstimate]
     ) -> None:
         """Each thing that none of `estimates` explains is taken for the unsure object that fits it best.
 
@@ -253,7 +253,7 @@ class SceneFinder:
             else:
                 return
 
-    def _as_expected(self, looks: Sequence[Look], poses: dict[int, np.ndarray]) -> list[Look]:
+    def _as_expected(self, looks: Sequence[View], poses: dict[int, np.ndarray]) -> list[View]:
         return correct_masks(looks, self._at(poses))
 
     def _at(self, poses: dict[int, np.ndarray]) -> dict[int, tuple[ObjectModel, np.ndarray]]:
@@ -277,7 +277,7 @@ def _poses_by_number(
     return {number: pose for number, pose in told if not np.isnan(pose).any()}
 
 
-def _as(number: int, look: Look, mask: np.ndarray) -> Look:
+def _as(number: int, look: View, mask: np.ndarray) -> View:
     """A look in which the mask bool[H, W] alone shows an object."""
     label = np.where(look.mask(number), BACKGROUND, look.label)
     return replace(

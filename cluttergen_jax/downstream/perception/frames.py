@@ -21,6 +21,7 @@ from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.schema import checked_record, convert, digest_of, refuse, with_checksum
 from cluttergen_jax.sensing import Camera
+from cluttergen_jax.views.images import png_of
 
 _NAMES = ("rgb.png", "depth.npy", "camera.json")
 
@@ -40,20 +41,14 @@ def write_frame(folder: str | Path, frame: Frame) -> None:
       ConfigError: the images are not the camera's.
     """
     rgb, depth = check_images(*frame)
-    picture = io.BytesIO()
+    picture = png_of(rgb)
     array = io.BytesIO()
-    Image.fromarray(rgb).save(picture, format="PNG")
     np.save(array, depth, allow_pickle=False)
-    camera = frame.camera
-    record = {
-        "width": camera.width,
-        "height": camera.height,
-        "K": camera.K.tolist(),
-        "T_world_camera": camera.T_world_camera.tolist(),
-    }
-    files = {"rgb.png": digest_of(picture.getvalue()), "depth.npy": digest_of(array.getvalue())}
-    told = (json.dumps(with_checksum({**record, "checksums": files}), indent=1) + "\n").encode()
-    for name, data in zip(_NAMES, (picture.getvalue(), array.getvalue(), told), strict=True):
+    files = {"rgb.png": digest_of(picture), "depth.npy": digest_of(array.getvalue())}
+    told = (
+        json.dumps(with_checksum({**frame.camera.record(), "checksums": files}), indent=1) + "\n"
+    ).encode()
+    for name, data in zip(_NAMES, (picture, array.getvalue(), told), strict=True):
         write_atomically(Path(folder) / name, data)
 
 

@@ -15,7 +15,8 @@ from scipy.ndimage import label as connected
 
 from cluttergen_jax.downstream.perception.pose.compare import AGREES, IN_FRONT, render_alone
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
-from cluttergen_jax.downstream.perception.types import ARM, BACKGROUND, FIRST_OBJECT, Look
+from cluttergen_jax.downstream.perception.types import ARM, BACKGROUND, FIRST_OBJECT
+from cluttergen_jax.views.view import View
 
 LEAST_SHARE = 0.6
 """Of the pixels of an object that should be seen: so many have to have its depth for it to count as there."""
@@ -28,8 +29,8 @@ _VOXEL = 0.012
 
 
 def correct_masks(
-    looks: Sequence[Look], expected: dict[int, tuple[ObjectModel, np.ndarray]]
-) -> list[Look]:
+    looks: Sequence[View], expected: dict[int, tuple[ObjectModel, np.ndarray]]
+) -> list[View]:
     """The looks, with corrected masks of those objects that depth shows where they are expected.
 
     Args:
@@ -39,7 +40,7 @@ def correct_masks(
 
 
 def find_unexplained(
-    looks: Sequence[Look], found: dict[int, tuple[ObjectModel, np.ndarray]], top: float, fewest: int
+    looks: Sequence[View], found: dict[int, tuple[ObjectModel, np.ndarray]], top: float, fewest: int
 ) -> list[list[np.ndarray]]:
     """What stands on the table, shown by depth, that is none of the objects where they were found.
 
@@ -73,7 +74,7 @@ def find_unexplained(
 
 
 def _unexplained_pixels(
-    look: Look, found: dict[int, tuple[ObjectModel, np.ndarray]], top: float
+    look: View, found: dict[int, tuple[ObjectModel, np.ndarray]], top: float
 ) -> np.ndarray:
     """bool[H, W]: the pixels of one look, those at the edges of things left out."""
     height = look.camera.points(look.depth)[..., 2]
@@ -85,7 +86,7 @@ def _unexplained_pixels(
     return np.asarray(binary_opening(stands, np.ones((3, 3))))
 
 
-def _correct_mask(look: Look, expected: dict[int, tuple[ObjectModel, np.ndarray]]) -> Look:
+def _correct_mask(look: View, expected: dict[int, tuple[ObjectModel, np.ndarray]]) -> View:
     label = look.label.copy()
     nearest = np.full(look.depth.shape, np.inf)
     for number, (model, pose) in expected.items():

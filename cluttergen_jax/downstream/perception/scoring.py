@@ -15,7 +15,6 @@ from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.perception.segment.training import simulate_camera
 from cluttergen_jax.downstream.perception.types import (
     FIRST_OBJECT,
-    Look,
     confusion,
     iou_of,
     num_classes,
@@ -23,6 +22,7 @@ from cluttergen_jax.downstream.perception.types import (
 from cluttergen_jax.downstream.perception.views.store import StoredView
 from cluttergen_jax.downstream.transforms import matrix_of, offset
 from cluttergen_jax.sensing import NoiseConfig
+from cluttergen_jax.views.view import View
 
 VISIBLE_PIXELS = 150
 """Of a picture of 320 x 240, from which on an object has to be found."""
@@ -92,7 +92,7 @@ def judge_moment(
     begun = time.process_time()
     number = len(models)
     seen = [simulate_camera(view, noise, seed) for view in views]
-    looks = [finder.look(each.rgb, each.depth, each.camera) for each in seen]
+    looks = [finder.look(each.colours, each.depth, each.camera) for each in seen]
     if true_masks:
         looks = [replace(look, label=each.label) for look, each in zip(looks, seen, strict=True)]
     labels = [each.label for each in seen]
@@ -104,7 +104,7 @@ def judge_moment(
     scene = finder(looks, [finder.names[k] for k in asked])
     cpu = time.process_time() - begun
     true = dict(zip(views[0].objects.tolist(), matrix_of(views[0].poses), strict=True))
-    exact = [Look(view.view.depth, view.view.label, view.view.camera) for view in views]
+    exact = [View(view.view.depth, view.view.label, view.view.camera) for view in views]
     # An estimate that nobody believes teaches what is to be believed.
     estimates = [
         _errors(models[k], true[k], matrix_of(pose)) if any(features) else _NO_ERRORS

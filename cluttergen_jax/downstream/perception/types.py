@@ -10,6 +10,7 @@ import numpy as np
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.sensing import Camera
+from cluttergen_jax.views.view import View
 
 # The table, the floor and all else; the robot; then object k of a pool as 2 + k.
 BACKGROUND = 0
@@ -114,25 +115,6 @@ def check_images(
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
-    """One picture, segmented. H rows, W columns.
-
-    Attributes:
-      depth: f32[H, W], metres along the optical axis, nan where nothing was measured.
-      label: u8[H, W], see `types`.
-      camera: of this size, as it is believed to stand.
-    """
-
-    depth: np.ndarray
-    label: np.ndarray
-    camera: Camera
-
-    def mask(self, index: int) -> np.ndarray:
-        """bool[H, W]: the pixels of one object."""
-        return self.label == FIRST_OBJECT + index
-
-
-@dataclass(frozen=True, eq=False)
 class PoseEstimate:
     """Where an object is, as far as looks tell.
 
@@ -159,7 +141,7 @@ class PoseEstimator(Protocol):
     """Finds the pose of one of its objects in looks at one moment."""
 
     def __call__(
-        self, index: int, looks: Sequence[Look], near: np.ndarray | None = None
+        self, index: int, looks: Sequence[View], near: np.ndarray | None = None
     ) -> PoseEstimate | None:
         """The pose of the object of that number; None where too little of it is seen.
 

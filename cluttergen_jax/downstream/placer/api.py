@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.config import PILE, Method, Split, check_range, check_workers
+from cluttergen_jax.config import Method, Split, check_range, check_workers
 from cluttergen_jax.downstream.words import (
     MAX_PAIRS,
     PlacerHead,
@@ -19,6 +19,7 @@ from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.files import check_folder
 from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.numerics import with_own_settings
+from cluttergen_jax.placement.methods.table import entry_of
 from cluttergen_jax.spec import SceneSpec
 
 if TYPE_CHECKING:
@@ -121,7 +122,7 @@ def placer_data(
             raise BankError(
                 f"{bank} has no digests of its assets: an older version made it", hint=AGAIN
             )
-        if found.recipe.get("method") == PILE:
+        if entry_of(found.recipe.get("method")).is_whole:
             hint = "generate --method guided"
             raise BankError(
                 f"{found.path} holds piles", "scenes placed one object after another", hint

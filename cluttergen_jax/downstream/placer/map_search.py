@@ -7,8 +7,8 @@ import jax.numpy as jnp
 from flax import struct
 
 from cluttergen_jax.downstream.placer.query import PlacementQuery
-from cluttergen_jax.placement.baselines import cost_of_lowest_fit
 from cluttergen_jax.placement.heightmap import HeightMap
+from cluttergen_jax.placement.methods.baselines import cost_of_lowest_fit
 from cluttergen_jax.placement.region import make_region
 from cluttergen_jax.placement.search import (
     CLEARANCE,

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from cluttergen_jax.downstream.parts import array_of, part_name
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.own_parts import array_of, part_name
 from cluttergen_jax.placement.heightmap import VOID, HeightMap
 from cluttergen_jax.placement.search import UnderSide
 from cluttergen_jax.types import Array
@@ -78,7 +78,7 @@ class PlainPlacer(Protocol):
     """A placer of NumPy, PyTorch or anything else that is no pytree: called as it is, outside of JAX.
 
     `placer=` of `robot_place` and `placers` of `placer_eval` take it. An attribute `name` is what rows call
-    it; `downstream.parts.part_label` says how its rows are told from those of others.
+    it; `own_parts.part_label` says how its rows are told from those of others.
     """
 
     def __call__(self, rng: np.random.Generator, query: PlacementQuery) -> Any:

@@ -11,6 +11,7 @@ from scipy.spatial import ConvexHull
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.sensing import SUPPORT, Camera, DepthImage, RaySensor, find_preset, sensed_model
+from cluttergen_jax.views import images
 
 MANY = "free"
 """The preset that draws: only of it there is more than one camera."""
@@ -126,8 +127,7 @@ def check_cameras(num_cameras: int, preset: str) -> None:
 
 def depth_of(data: bytes, width: int, height: int) -> np.ndarray:
     """f32[H, W], metres, inf where nothing is, from a row's bytes."""
-    stored = np.frombuffer(data, "<u2").reshape(height, width)
-    return np.where(stored > 0, stored.astype(np.float32) / MILLIMETRES, np.float32(np.inf))
+    return images.depth_of(np.frombuffer(data, "<u2").reshape(height, width), MILLIMETRES)
 
 
 def depth_bytes(depth: np.ndarray) -> bytes:

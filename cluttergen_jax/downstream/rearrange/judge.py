@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -12,13 +11,16 @@ from cluttergen_jax.downstream.rearrange.observe import Cause
 from cluttergen_jax.downstream.robot.episode import WATCHED
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
-from cluttergen_jax.downstream.transforms import matrix_of, motion_between, offset
+from cluttergen_jax.downstream.transforms import matrix_of, offset
+from cluttergen_jax.physics.standing import check_standing, displacement, has_moved, watch
 from cluttergen_jax.scene import Scene
-from cluttergen_jax.scene.bank.verify import verify_model
 
 # Metres and radians, up to its symmetry, that each object may be from its place in the chosen layout.
 MAX_ERROR = 0.015
 MAX_TURN_ERROR = float(np.radians(10))
+_LIMITS = StabilityConfig()
+_LOOK = 0.1
+"""Seconds between two looks at what stands."""
 
 
 class RearrangementJudge:
@@ -74,9 +76,9 @@ class RearrangementJudge:
         start = self._execution.poses()
         names = self._scene.names
         self._execution.wake()
-        for _ in range(round(WATCHED / 0.1)):
-            self._execution.wait(0.1, Phase.FREE)
-            far = _has_moved(self._execution.poses(), start)
+        looks = range(1, round(WATCHED / _LOOK) + 1)
+        for shift, turn in watch(self._wait, start, looks):
+            far = has_moved(shift, turn, _LIMITS)
             if far.any():
                 raise Failed(Outcome.UNSTABLE, names[int(far.argmax())])
         right = self.is_right(goals)
@@ -91,6 +93,11 @@ class RearrangementJudge:
             raise Failed(Outcome.DISPLACED, names[self._num_moved + int(far.argmax())])
         self._check_alone()
 
+    def _wait(self, number: int) -> np.ndarray:
+        """So many times a tenth of a second, and the poses after it."""
+        self._execution.wait(number * _LOOK, Phase.FREE)
+        return self._execution.poses()
+
     def _check_alone(self) -> None:
         """The scene without the arm, at rest, in its own time step."""
         poses = self._execution.poses()
@@ -100,13 +107,11 @@ class RearrangementJudge:
             body = spec.body(name)
             body.pos = pose[:3]
             body.quat = pose[3:]
-        found = verify_model(Path(), spec.compile(), 0, VerifyConfig())
+        found = check_standing(spec.compile(), 0, VerifyConfig.seconds, _LIMITS)
         if not found.stands:
             raise Failed(Outcome.UNSTABLE, f"{found.worst}, alone")
 
 
 def _has_moved(now: np.ndarray, then: np.ndarray) -> np.ndarray:
     """bool[N]: poses f64[N, 7] farther apart than the last check of scenes allows."""
-    limits = StabilityConfig()
-    shift, turn = motion_between(now, then)
-    return (shift > limits.stand_full_shift) | (turn > limits.stand_full_turn)
+    return has_moved(*displacement(np, now, then), _LIMITS)

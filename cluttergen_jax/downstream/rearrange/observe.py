@@ -14,10 +14,10 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
-from cluttergen_jax.downstream.parts import array_of, part_name
 from cluttergen_jax.downstream.robot.motion.execute import Execution
 from cluttergen_jax.downstream.transforms import matrix_of, offset, pose_of
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.own_parts import array_of, part_name
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.renderer import Renderer, open_renderer, set_range
 from cluttergen_jax.sensing import Camera
@@ -184,7 +184,7 @@ class EpisodeView:
 class Observer(Protocol):
     """Tells where things are, from what the robot's cameras see; `observer=` of `rearrange` takes it.
 
-    An attribute `name` is what tables call it; `downstream.parts.part_label` says how its rows are told from
+    An attribute `name` is what tables call it; `own_parts.part_label` says how its rows are told from
     those of others.
     """
 

@@ -10,14 +10,14 @@ import numpy as np
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.downstream.digests import constants_hash, json_digest
 from cluttergen_jax.downstream.perception.finder import FoundScene, SceneFinder, finder_hash
-from cluttergen_jax.downstream.perception.types import Look
-from cluttergen_jax.downstream.perception.views.stage import above, wrist_camera
 from cluttergen_jax.downstream.rearrange.observe import EpisodeView, SceneEstimate
+from cluttergen_jax.downstream.robot.cameras import above, wrist_camera
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.sensing_arm import ArmSilhouette
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, Camera, CameraPlan, NoiseConfig, noisy
+from cluttergen_jax.views.view import View
 
 UNSURE = 0.5
 """Certainty below which another look is taken."""
@@ -69,7 +69,7 @@ class PerceptionObserver:
         self._noise = noise
         self._seed = seed
         self._silhouette = ArmSilhouette(base_pose(support, robot), robot=robot)
-        self._glances: list[Look] = []
+        self._glances: list[View] = []
         self._num_before = 0
         self.weights = weights
         self._cameras = tuple(cameras)
@@ -113,7 +113,7 @@ class PerceptionObserver:
         rng = np.random.default_rng((self._seed, world.seed))
         return [plan.draw(self._support, rng) for plan in self._cameras]
 
-    def _look(self, world: EpisodeView, camera: Camera, number: int) -> list[Look]:
+    def _look(self, world: EpisodeView, camera: Camera, number: int) -> list[View]:
         """The picture of that number from here; none where nothing was measured."""
         rgb, depth = world.picture(camera)
         moment = round(world.time * _MILLISECONDS)

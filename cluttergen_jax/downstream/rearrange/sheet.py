@@ -20,10 +20,9 @@ from cluttergen_jax.progress import Progress
 from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.figure import GREEN
-from cluttergen_jax.rendering.overlay import with_frame
 from cluttergen_jax.rendering.renderer import Trail
 from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, scene_renderer
-from cluttergen_jax.rendering.sheet import contact_sheet, save_png
+from cluttergen_jax.rendering.sheet import contact_sheet, save_png, with_frame
 
 _PICTURE = PictureConfig(360, 270, 16, CameraView(azimuth=0.0, elevation=-58.0))
 """From where the arm stands."""

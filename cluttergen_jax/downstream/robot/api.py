@@ -179,7 +179,6 @@ def robot_place(
     from cluttergen_jax.api.generate import generate
     from cluttergen_jax.downstream.bank_scenes import bank_or_made, poses_of
     from cluttergen_jax.downstream.digests import json_digest
-    from cluttergen_jax.downstream.parts import part_label, part_name
     from cluttergen_jax.downstream.placer.heads.checkpoint import placer_folder
     from cluttergen_jax.downstream.robot.description import find_robot
     from cluttergen_jax.downstream.robot.film import check_films
@@ -188,6 +187,7 @@ def robot_place(
     from cluttergen_jax.downstream.robot.trials import keep_upright_last, own_place, run_trials
     from cluttergen_jax.learning.methods import checkpoint_of
     from cluttergen_jax.learning.ppo import checkpoint
+    from cluttergen_jax.own_parts import part_label, part_name
     from cluttergen_jax.scene.bank import Bank, read_scenes, region_of
 
     check_folder(out)

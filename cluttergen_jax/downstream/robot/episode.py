@@ -24,6 +24,7 @@ from cluttergen_jax.downstream.robot.protocols import PathPlanner
 from cluttergen_jax.downstream.robot.sensing_arm import SensingArm
 from cluttergen_jax.downstream.transforms import angle_between, matrix_of, motion_between
 from cluttergen_jax.geometry import product, rotate_in_plane, yaw_quaternion
+from cluttergen_jax.physics.standing import has_moved
 from cluttergen_jax.scene import Scene
 
 STAND_SIDE = 0.26
@@ -150,7 +151,7 @@ class Referee:
         for _ in range(round(WATCHED / 0.1)):
             self.execution.wait(0.1, Phase.FREE)
             shift, turn = motion_between(self.execution.poses()[self.target], start)
-            if shift > limits.stand_full_shift or turn > limits.stand_full_turn:
+            if has_moved(shift, turn, limits):
                 raise Failed(Outcome.UNSTABLE, f"{1e3 * shift:.0f} mm, {np.degrees(turn):.0f} deg")
             self.check_others()
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.downstream.bank_scenes import check_one_level
-from cluttergen_jax.downstream.parts import is_own
 from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes, ProposalJudge, world_pose
 from cluttergen_jax.downstream.placer.proposers import FullState, proposals_of
@@ -33,6 +32,7 @@ from cluttergen_jax.downstream.robot.motion.occupancy_boxes import (
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.generation.sources.replay import setup_of
 from cluttergen_jax.numerics import new_key
+from cluttergen_jax.own_parts import is_own
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.search import Candidates, lower_onto
 from cluttergen_jax.scene import Scene

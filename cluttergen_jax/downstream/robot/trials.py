@@ -14,7 +14,6 @@ import numpy as np
 
 from cluttergen_jax.config import FilmFormat
 from cluttergen_jax.downstream.digests import constants_hash
-from cluttergen_jax.downstream.parts import part_label
 from cluttergen_jax.downstream.robot import cameras, episode, gripper, model, sensing_arm
 from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
 from cluttergen_jax.downstream.robot.episode import (
@@ -46,6 +45,7 @@ from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.evaluation.machine import versions
 from cluttergen_jax.geometry import rotation_matrix
 from cluttergen_jax.kept_folder import hold_out
+from cluttergen_jax.own_parts import part_label
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.tables import aligned_table
 

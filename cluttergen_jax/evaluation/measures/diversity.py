@@ -18,7 +18,8 @@ from scipy.spatial.transform import Rotation
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError, range_text
-from cluttergen_jax.evaluation.measures.arrangement import check_scenes, region_positions
+from cluttergen_jax.geometry import rotate_in_plane
+from cluttergen_jax.judging.scene_models import check_scenes
 
 CELL = 0.05
 
@@ -331,3 +332,9 @@ def independent_distance(region: Rectangle) -> float:
     alone.
     """
     return float(np.sqrt(2 * (np.square(region.half_extents) / 3).sum()))
+
+
+def region_positions(poses: np.ndarray, region: Rectangle) -> np.ndarray:
+    """f64[..., 2]: where poses f[..., 7] lie in the region's frame, metres from its centre."""
+    offset = np.asarray(poses, np.float64)[..., :2] - np.asarray(region.center)
+    return rotate_in_plane(offset, -region.yaw)

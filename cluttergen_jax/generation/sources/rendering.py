@@ -17,22 +17,22 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.generation.sources import BankSource, FileSource, open_source
-from cluttergen_jax.generation.sources.bop import BopConfig, BopScenes
 from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.progress import track
 from cluttergen_jax.rendering.config import QUALITIES, FilmConfig, Quality
 from cluttergen_jax.rendering.density import NUM_PROPOSALS, density_figure
 from cluttergen_jax.rendering.figure import closed_loop_figure
-from cluttergen_jax.rendering.film import replay, replay_frames, turntable
+from cluttergen_jax.rendering.film import check_format, replay, replay_frames, save_film, turntable
 from cluttergen_jax.rendering.gl import RendererError, find_backend
-from cluttergen_jax.rendering.scene_renderer import PictureConfig, ScenePictures
-from cluttergen_jax.rendering.sensors import camera_json, depth_png, npz_of, segmentation_png, sense
+from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
-from cluttergen_jax.rendering.video import check_format, save_film
 from cluttergen_jax.rendering.viewer.source import SceneSource
 from cluttergen_jax.scene.bank.reference import missing_text
-from cluttergen_jax.sensing.camera import REALSENSE_SIZE, Camera
-from cluttergen_jax.sensing.camera_plan import CameraPlan
+from cluttergen_jax.sensing.camera import REALSENSE_SIZE, Camera, CameraPlan
+from cluttergen_jax.views.bop import BopConfig, BopScenes
+from cluttergen_jax.views.images import camera_json, depth_png, npz_of, segmentation_png
+from cluttergen_jax.views.maker import ViewMaker
+from cluttergen_jax.views.view import SeenScene
 
 _DRAWN = frozenset({"picture", "sheet", "turntable", "replay", "figure", "density"})
 """What is made of colours. Depth, labels and masks come from rays, point clouds from surfaces."""
@@ -107,7 +107,7 @@ class Rendering:
         failures: list[_Failure] = []
         with ExitStack() as stack:
             largest = np.max([plan.size for plan in self.cameras] or [_LARGE], axis=0).tolist()
-            drawn = stack.enter_context(ScenePictures(self._picture(tuple(largest), "fine")))
+            drawn = stack.enter_context(ViewMaker(self._picture(tuple(largest), "fine")))
             work = _Work(opened, singles, sizes[_SMALL], is_drawn, drawn)
             if self._makes("bop"):
                 size = self.cameras[0].size if self.cameras else REALSENSE_SIZE
@@ -215,7 +215,7 @@ class Rendering:
             )
             yield f"{ending}-sensors.npz", partial(sensed, camera=camera)
         if dataset is not None:
-            yield "-bop", lambda path: dataset.add(recording, number)
+            yield "-bop", lambda path: dataset.add(_seen_scene(recording, number))
         if self._makes("points"):
             yield "-points.ply", lambda path: [_write(path, _cloud(recording))]
         for ending, camera in cameras.items() if self._makes("turntable") else ():
@@ -229,7 +229,7 @@ class Rendering:
 
     def _camera(self, plan: CameraPlan, recording: Replay, number: int) -> Camera:
         """Where a camera is for a scene, drawn for its number."""
-        support = replace(recording.support, region=recording.region)
+        support = _seen_scene(recording, number).camera_support
         rng = np.random.default_rng([self.bop.seed, number, self.cameras.index(plan)])
         return plan.draw(support, rng)
 
@@ -246,20 +246,18 @@ class Rendering:
         is_drawn: bool,
         camera: Camera | None,
     ) -> Iterator[Path]:
-        placed = recording.placed
-        names = [recording.names[index] for index in placed]
-        poses = recording.poses[placed]
-        support = recording.support
-        sensed = sense(_placed_objects(recording), names, poses, support, picture, is_drawn, camera)
+        scene = _seen_scene(recording, 0)
+        with ViewMaker(picture, is_drawn=is_drawn) as maker:
+            maker.place(scene.objects, scene.poses, scene.support)
+            view = maker.see(camera)
         stem = path.with_name(path.name.removesuffix("-sensors.npz"))
         if self._makes("depth"):
-            yield _write(_path_with(stem, "-depth.png"), depth_png(sensed.depth))
+            yield _write(_path_with(stem, "-depth.png"), depth_png(view.depth))
         if self._makes("segmentation"):
-            yield _write(
-                _path_with(stem, "-segmentation.png"), segmentation_png(sensed.segmentation)
-            )
-        yield _write(_path_with(stem, "-camera.json"), camera_json(sensed))
-        yield _write(path, npz_of(sensed))
+            yield _write(_path_with(stem, "-segmentation.png"), segmentation_png(view.label))
+        told = camera_json(view.camera, scene.names, scene.poses)
+        yield _write(_path_with(stem, "-camera.json"), told)
+        yield _write(path, npz_of(view, scene.names, scene.poses))
 
     def _write_film(self, frames: Iterable[np.ndarray], count: int, path: Path) -> Iterator[Path]:
         yield save_film(track(frames, path.name, count, "frame"), path, self.pace.fps)
@@ -268,10 +266,10 @@ class Rendering:
         picture = self._picture(_CELL, "draft" if len(numbers) > _SHEET else "fine")
         recordings = [source.still(number) for number in numbers]
         images = []
-        with ScenePictures(picture) as pictures:
+        with ViewMaker(picture) as maker:
             for place, each in enumerate(track(recordings, title, len(recordings), "picture")):
                 coming = recordings[place + 1 : place + 1 + _AHEAD]
-                images.append(_draw(pictures, each, None, partial(_objects_of, coming)))
+                images.append(_draw(maker, each, None, partial(_objects_of, coming)))
         captions = [
             f"{number:06d}" + ("" if recording.is_success else f" (failed: {recording.verdict})")
             for number, recording in zip(numbers, recordings, strict=True)
@@ -288,7 +286,7 @@ class _Work:
       singles: draw a picture of each.
       small: the picture of films.
       is_drawn: there is an OpenGL.
-      pictures: draws them. coming: numbers of the scenes that are drawn next.
+      maker: draws them. coming: numbers of the scenes that are drawn next.
       dataset: BOP, which the scenes are added to, if it is asked for.
     """
 
@@ -296,14 +294,14 @@ class _Work:
     singles: bool
     small: PictureConfig
     is_drawn: bool
-    pictures: ScenePictures
+    maker: ViewMaker
     coming: tuple[int, ...] = ()
     dataset: BopScenes | None = None
     _stills: dict[int, Replay] = field(default_factory=dict)
 
     def draw(self, recording: Replay, camera: Camera | None) -> np.ndarray:
         """uint8[height, width, 3]: the finished scene; None sees it as the pictures' view."""
-        return _draw(self.pictures, recording, camera, self._objects_coming)
+        return _draw(self.maker, recording, camera, self._objects_coming)
 
     def _objects_coming(self) -> list[list[ObjectAsset]]:
         found = []
@@ -317,8 +315,9 @@ class _Work:
         for number in numbers:
             with suppress(ClutterGenError):
                 self._stills[number] = self.source.still(number)
-        if self.dataset is not None:
-            self.dataset.plan(self._stills.items())
+        for number, recording in self._stills.items():
+            if self.dataset is not None:
+                self.dataset.plan(_seen_scene(recording, number))
 
     def still(self, number: int) -> Replay:
         """The finished scene."""
@@ -356,13 +355,27 @@ def chosen_numbers(
 
 
 def _draw(
-    pictures: ScenePictures,
+    maker: ViewMaker,
     recording: Replay,
     camera: Camera | None,
-    others: Callable[[], Sequence[Sequence[ObjectAsset]]],
+    coming: Callable[[], Sequence[Sequence[ObjectAsset]]],
 ) -> np.ndarray:
     poses = recording.poses[recording.placed]
-    return pictures.draw(_placed_objects(recording), poses, recording.support, camera, others)
+    maker.place(_placed_objects(recording), poses, recording.support, coming=coming)
+    return maker.picture(camera)
+
+
+def _seen_scene(recording: Replay, number: int) -> SeenScene:
+    """The finished scene as writers of views take it."""
+    placed = recording.placed
+    return SeenScene(
+        number=number,
+        names=[recording.names[index] for index in placed],
+        objects=_placed_objects(recording),
+        poses=np.asarray(recording.poses[placed], np.float64),
+        support=recording.support,
+        region=recording.region,
+    )
 
 
 def _objects_of(recordings: Sequence[Replay]) -> list[list[ObjectAsset]]:

@@ -11,12 +11,12 @@ import numpy as np
 
 from cluttergen_jax.assets.pool import StoredObjects, find_pool
 from cluttergen_jax.assets.support import Rectangle, recorded_rectangle
-from cluttergen_jax.config import PILE, UNPROPOSED
+from cluttergen_jax.config import UNPROPOSED
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.generation.recipe import problem_of_recipe
 from cluttergen_jax.learning.methods import Method, choose_method, sampler_of
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint
-from cluttergen_jax.placement.baselines import BASELINES
+from cluttergen_jax.placement.methods.table import BASELINES, entry_of
 from cluttergen_jax.placement.problem import ProblemConfig, Setup, Standing, make_setup
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.placement.rollout.record import Recorder
@@ -25,6 +25,7 @@ from cluttergen_jax.placement.shelves import Shelves
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.reference import read_start
+from cluttergen_jax.spec import recorded_method
 
 COMPILING = "compiling where it was not compiled before, which takes about a minute"
 
@@ -78,13 +79,14 @@ def replay_context_of(bank: Bank) -> ReplayContext:
     setup = shelves_of(bank) if bank.recipe.get("shelf") else setup_of(bank)
     recipe = bank.recipe
     try:
-        method = recipe["method"]
+        method = recorded_method(recipe)
         pool = recipe["pool"]
         checkpoint = recipe.get("checkpoint")
     except KeyError as error:
         raise _not_recorded(bank, error) from error
-    trained = None if method in UNPROPOSED else choose_method(method, pool, checkpoint).checkpoint
-    return ReplayContext(setup, {} if trained is None else {method: trained})
+    trained = None if method is None else choose_method(method, pool, checkpoint).checkpoint
+    known = {} if method is None or trained is None else {method: trained}
+    return ReplayContext(setup, known)
 
 
 def setup_of(bank: Bank, **changes: Any) -> Setup:
@@ -155,7 +157,7 @@ def replay(
         machine, changed assets.
     """
     recipe = bank.recipe
-    if recipe["method"] == PILE:
+    if entry_of(recipe["method"]).is_whole:
         raise BankError(
             f"{stored.title} is a pile, in which all objects fall together",
             "attempts of scenes that are placed object by object",
@@ -168,7 +170,8 @@ def replay(
             "the scene itself",
         )
     width = int(recipe.get("block_size", BLOCK_SIZE))
-    method = recipe["method"]
+    method = recorded_method(recipe)
+    assert method is not None
     seed = int(recipe["seed"])
     recording = context.record(method, seed, index, stored.title, width, num_proposals)
     if not _equal(recording, stored):

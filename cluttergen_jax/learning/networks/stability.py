@@ -8,7 +8,7 @@ import flax.linen as nn
 import jax.numpy as jnp
 from flax import struct
 
-from cluttergen_jax.placement.baselines import costs_of_staying
+from cluttergen_jax.placement.methods.baselines import costs_of_staying
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.search.candidate_sampler import CandidateSet
 from cluttergen_jax.placement.types import Episode

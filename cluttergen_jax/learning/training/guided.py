@@ -44,8 +44,8 @@ from cluttergen_jax.learning.training.worlds import (
     object_sets,
 )
 from cluttergen_jax.numerics import new_key
-from cluttergen_jax.placement.baselines import LowestFit
 from cluttergen_jax.placement.config import MIN_MARGIN, PlacementConfig, placement_record
+from cluttergen_jax.placement.methods.baselines import LowestFit
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.schema import Numbers, check_numbers
 

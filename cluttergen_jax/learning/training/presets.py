@@ -25,7 +25,7 @@ class Settings:
 
 
 _TUNED = NetworkConfig(head="mixture", height_precision=20_000.0)
-"""What `python -m benchmarks.ablation` found best (reports/benchmarks.md)."""
+"""What `python -m studies.benchmarks.ablation` found best (reports/benchmarks.md)."""
 
 
 def _training_stability(stop_when_decided: bool) -> StabilityConfig:

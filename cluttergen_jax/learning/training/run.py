@@ -35,8 +35,8 @@ from cluttergen_jax.learning.training.run_logger import (
 from cluttergen_jax.learning.training.updates import Updates, num_updates
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.physics import make_physics
-from cluttergen_jax.placement.baselines import make_proposer
 from cluttergen_jax.placement.env import PlacementEnv
+from cluttergen_jax.placement.methods.table import make_proposer
 from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, Rollout
 from cluttergen_jax.placement.rules import Proposer, Rules

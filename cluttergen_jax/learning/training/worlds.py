@@ -14,7 +14,7 @@ from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError, range_text
 from cluttergen_jax.physics import make_physics
-from cluttergen_jax.physics.host import BatchEngine, SwappablePhysics
+from cluttergen_jax.physics.host import BatchEngine, NumberedEngines, Physics
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.heightmap import HeightMapper
 from cluttergen_jax.placement.problem import check_number, region_of
@@ -64,12 +64,14 @@ class TrainingWorld:
       setting: where and how many; world: what is compiled.
       rules: of its episodes, which know what carries what. Those of one setting have arrays of equal shapes,
         and the same physics object where they are judged alike.
+      engines: those of its physics, one at a time.
       mapper: of its height maps, for `Search(rules, mapper=mapper)`; of one size in each setting.
     """
 
     setting: TrainingSetting
     world: World
     rules: Rules
+    engines: NumberedEngines
     mapper: HeightMapper
 
     def start_engine(self, num_threads: int = 0) -> None:
@@ -80,12 +82,9 @@ class TrainingWorld:
         Args:
           num_threads: of the native engine; 0 takes every core.
         """
-        physics = self.rules.physics
-        assert isinstance(physics, SwappablePhysics)
-        engine = make_physics(self.world.layout, physics.config, "native", num_threads)
-        if hasattr(physics, "engine"):
-            physics.engine.free()
-        physics.engine = cast(BatchEngine, engine)
+        config = self.rules.physics.config
+        engine = make_physics(self.world.layout, config, "native", num_threads)
+        self.engines.put(cast(BatchEngine, engine))
 
 
 class WorldMaker:
@@ -115,7 +114,7 @@ class WorldMaker:
         self.sets = tuple(tuple(each) for each in sets)
         self.placement = placement or PlacementConfig(history_stride=0)
         self.contact = contact or ContactConfig()
-        self._physics: dict[StabilityConfig, SwappablePhysics] = {}
+        self._physics: dict[StabilityConfig, tuple[NumberedEngines, Physics]] = {}
         objects = list(dict.fromkeys(asset for each in self.sets for asset in each))
         self.radius = max(float(np.linalg.norm(asset.half_extents[:2])) for asset in objects)
         self._columns = {
@@ -138,7 +137,10 @@ class WorldMaker:
         support = find_support(setting.support)
         check_number(setting.num_objects, len(objects), "of variants")
         stability = stability or StabilityConfig()
-        physics = self._physics.setdefault(stability, SwappablePhysics(len(objects), stability))
+        if stability not in self._physics:
+            engines = NumberedEngines(len(objects), stability)
+            self._physics[stability] = engines, engines.with_number(np.int32(0))
+        engines, physics = self._physics[stability]
         world = make_world(objects, support, stability, self.contact, self._columns.__getitem__)
         rules = Rules(
             config=replace(self.placement, num_objects=setting.num_objects),
@@ -146,9 +148,8 @@ class WorldMaker:
             geometry=pad_geometry(geometry_of(world), NUM_COLUMN_SAMPLES, self.num_runs),
             region=region_of(support.region, support),
         )
-        return TrainingWorld(
-            setting, world, rules, HeightMapper.of(rules.geometry, rules.region, self.radius)
-        )
+        mapper = HeightMapper.of(rules.geometry, rules.region, self.radius)
+        return TrainingWorld(setting, world, rules, engines, mapper)
 
 
 def object_sets(

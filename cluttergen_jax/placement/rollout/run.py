@@ -63,7 +63,7 @@ class BlockSampler(struct.PyTreeNode, eq=False):
     start: Start | None = None
 
     is_whole: ClassVar[bool] = False
-    """Each scene is made at once, not object by object (`placement.piles`)."""
+    """Each scene is made at once, not object by object (`placement.methods.piles`)."""
 
     @property
     def in_parts(self) -> bool:

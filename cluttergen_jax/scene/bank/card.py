@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
@@ -10,8 +11,10 @@ import pyarrow as pa
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.config import HAND, PILE
+from cluttergen_jax.config import HAND, StabilityConfig
+from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
+from cluttergen_jax.placement.methods.table import entry_of
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.record import READER, Bits, Recipe
 from cluttergen_jax.scene.bank.stats import BankStats, stats_of
@@ -28,6 +31,9 @@ from cluttergen_jax.types import Verdict, small_length
 
 CARD = "README.md"
 MARK = "<!-- written by cluttergen; remove this line to keep your own changes -->"
+
+_FAR = f"{1000 * StabilityConfig.stand_full_shift:g} mm"
+_MUCH = f"{math.degrees(StabilityConfig.stand_full_turn):g} degrees"
 
 _COLUMNS = {
     "index": "the scene's number; its random key is fold_in(key(seed), index)",
@@ -60,7 +66,7 @@ _COLUMNS = {
     "penetration": "after `certify`: metres, the deepest overlap of two bodies",
     "num_contacts": "after `certify`: contact points",
     "shake": "after `certify`: m/s^2, the sideways acceleration of the support, growing slowly, at which an "
-    "object has moved 5 mm; the smaller of both directions",
+    f"object has moved {_FAR}; the smaller of both directions",
     "shake_x": "after `certify`: m/s^2, along world x",
     "shake_y": "after `certify`: m/s^2, along world y",
     "rests_on": "after `certify`: pairs of object_index, who rests and on whom; -1 is the support",
@@ -69,13 +75,14 @@ _COLUMNS = {
     "margins": "after `certify`: slot by slot, each object's; null for what no contact carries from below",
     **{
         f"tilt_{angle}": f"after `certify`: of eight directions, the share in which gravity tilted by "
-        f"{angle} degrees moves nothing by 5 mm or 5 degrees within 2 s"
+        f"{angle} degrees moves nothing by {_FAR} or {_MUCH} within 2 s"
         for angle in (1, 2, 5)
     },
     "robust": "after `certify`: in soft contact (MuJoCo's default), with 0.7 times the friction and gravity "
-    "tilted by 3 degrees in each of four directions, nothing slides by 5 mm or turns by 5 degrees within 2 s",
+    f"tilted by 3 degrees in each of four directions, nothing slides by {_FAR} or turns by {_MUCH} within "
+    "2 s",
     "detectors": "after `certify`: with which of MuJoCo's detectors of convex collisions (native, libccd) "
-    "nothing moves by 5 mm or 5 degrees within the horizon; drift is the larger of both, the rest native's",
+    f"nothing moves by {_FAR} or {_MUCH} within the horizon; drift is the larger of both, the rest native's",
 } | {count_column(v): f"attempts that ended {v.label}: {v.sentence}" for v in COUNTED}
 
 
@@ -116,7 +123,7 @@ def card_text(bank: Bank, stats: BankStats) -> str:
         _figures(stats),
         _files(bank.path, BY_HAND if bank.recipe.get("method") == HAND else ()),
         _recipe_section(bank.recipe, bank.record.get("bits", [])),
-        _stability(bank.recipe),
+        _stability(bank),
         assets_section(assets, bank.support),
     ]
     return "\n\n".join(sections) + "\n"
@@ -144,7 +151,7 @@ def front_matter(licences: Sequence[str], tags: Sequence[str], title: str, data_
 
 def _about(bank: Bank, stats: BankStats) -> str:
     how = "placed one after another on a support until all lie still together"
-    if bank.recipe.get("method") == PILE:
+    if entry_of(bank.recipe.get("method")).is_whole:
         how = "let fall into a heap until all lie still together"
     return (
         f"# {bank.path.resolve().name}\n\n"
@@ -217,7 +224,9 @@ def _recipe_section(recipe: Recipe, bits: list[Bits]) -> str:
         "attempts per scene": placement.get("budget") or "so many for each object",
         "failed attempts after which objects are taken away": placement.get("ruin_after")
         or "none are",
-        "method": recipe.get("method"),
+        "method": f"{recipe['method']}, a user's own, digest {recipe['method_digest']}"
+        if "method_digest" in recipe
+        else recipe.get("method"),
         "checkpoint": recipe.get("checkpoint_hash") or "none",
         "seed": recipe.get("seed"),
         "engine": recipe.get("engine"),
@@ -246,7 +255,8 @@ def _recipe_section(recipe: Recipe, bits: list[Bits]) -> str:
     )
 
 
-def _stability(recipe: Recipe) -> str:
+def _stability(bank: Bank) -> str:
+    recipe = bank.recipe
     limits = {
         **recipe.get("stability", {}),
         **{f"contact {k}": v for k, v in recipe.get("contact", {}).items()},
@@ -261,9 +271,19 @@ def _stability(recipe: Recipe) -> str:
         "",
         ", ".join(f"{name} = {value}" for name, value in limits.items()) + ".",
         "",
+        *_other_limits(bank),
         f"Verdicts: {'; '.join(f'{v.label}: {v.sentence}' for v in Verdict if v >= 0)}.",
     ]
     return "\n".join(lines)
+
+
+def _other_limits(bank: Bank) -> list[str]:
+    """What its scenes were asked to be stable by, where those are not the usual limits."""
+    try:
+        asked = bank.spec.stability
+    except BankError:
+        return []
+    return [f"Asked for, in place of the usual limits: {asked}.", ""] if asked else []
 
 
 def assets_section(assets: Sequence[ObjectAsset], support: SupportAsset) -> str:

@@ -29,7 +29,7 @@ class Recipe(TypedDict, total=False):
     """What decides the scenes of a bank (`generation.recipe.recipe_of`); old and made-up ones lack some.
 
     `placement`, `stability` and `contact` are the fields of the configs of these names; `region` and
-    `keep_out` those of a `Rectangle`.
+    `keep_out` those of a `Rectangle`. `method_digest` is there where the method was a user's own.
     """
 
     pool: str
@@ -47,6 +47,7 @@ class Recipe(TypedDict, total=False):
     contact: Mapping[str, Any]
     start: str | None
     method: str
+    method_digest: str
     checkpoint: str | None
     checkpoint_hash: str | None
     seed: int

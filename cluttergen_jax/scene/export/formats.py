@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, get_args
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import SHARED_IMAGES
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.config import ContactConfig
+from cluttergen_jax.config import ContactConfig, ExportFormat
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.export.arena import write_layout
@@ -382,7 +382,7 @@ def _check_own(format: object) -> None:
             raise ConfigError(
                 f"a format with {field} {value!r}", "letters, digits, '.', '_' and '-'", "my-format"
             )
-    if any(format.name == each.name for each in _ALL) and is_own(format):
+    if format.name in get_args(ExportFormat) and is_own(format):
         given = f"a format of your own called {format.name!r}, which this package has"
         raise ConfigError(given, "another name", f"name='my-{format.name}'")
     writers = {
@@ -439,7 +439,11 @@ def _module_of(place: str) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     # Dataclasses of the file look for their module there.
     sys.modules[name] = module
-    spec.loader.exec_module(module)
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
     return module
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from cluttergen_jax.assets.shading import collision_pieces, linear, shade
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.texture import Texture
-from cluttergen_jax.scene import Camera, Scene
+from cluttergen_jax.scene import FixedCamera, Scene
 from cluttergen_jax.scene.export.frames import friction_of
 from cluttergen_jax.scene.export.meshes import drawn_pieces
 
@@ -89,7 +89,7 @@ class _Builder:
         children += [self._camera(each) for each in scene.cameras if not suffix]
         return self._add("nodes", {"name": name, "rotation": _Y_UP, "children": children})
 
-    def _camera(self, camera: Camera) -> int:
+    def _camera(self, camera: FixedCamera) -> int:
         """glTF's cameras look along -z too."""
         lens = {
             "yfov": math.radians(camera.fovy),

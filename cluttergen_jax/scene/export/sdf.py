@@ -19,7 +19,7 @@ from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import PART_RGBA, SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.geometry import yaw_quaternion
-from cluttergen_jax.scene import Camera, Scene
+from cluttergen_jax.scene import FixedCamera, Scene
 from cluttergen_jax.scene.export.frames import friction_of, harmonic_of, text, xml_bytes
 from cluttergen_jax.scene.export.meshes import (
     SUPPORT_FOLDER,
@@ -184,7 +184,7 @@ def _add_object(
         _add_contact(collision, contact, friction_of(asset, contact)[0])
 
 
-def _add_camera(world: ET.Element, camera: Camera) -> None:
+def _add_camera(world: ET.Element, camera: FixedCamera) -> None:
     """A sensor on a model that stands still; SDFormat's cameras look along +x, +z is up."""
     right, up, backward = camera.rotation.T
     turn = Rotation.from_matrix(np.stack([-backward, -right, up], axis=1)).as_quat(

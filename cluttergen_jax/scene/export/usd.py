@@ -22,7 +22,7 @@ from cluttergen_jax.assets.support import PART_RGBA, SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.geometry import yaw_quaternion
-from cluttergen_jax.scene import Camera, Scene
+from cluttergen_jax.scene import FixedCamera, Scene
 from cluttergen_jax.scene.export.frames import friction_of, principal_of
 from cluttergen_jax.scene.export.meshes import (
     SUPPORT_FOLDER,
@@ -129,7 +129,7 @@ def write_scene_usd(path: Path, scene: Scene) -> None:
     stage.GetRootLayer().Save()
 
 
-def _add_camera(stage: Any, camera: Camera) -> None:
+def _add_camera(stage: Any, camera: FixedCamera) -> None:
     """USD's own cameras look along -z too; apertures and focal length are of the same unit."""
     prim = UsdGeom.Camera.Define(stage, f"/World/cameras/{camera.name}")
     _place(prim, camera.position, camera.quaternion)

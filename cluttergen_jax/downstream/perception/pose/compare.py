@@ -14,9 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
-from cluttergen_jax.downstream.perception.types import BACKGROUND, Look
+from cluttergen_jax.downstream.perception.types import BACKGROUND
 from cluttergen_jax.downstream.transforms import pose_of
 from cluttergen_jax.sensing import Camera
+from cluttergen_jax.views.view import View
 
 AGREES = 0.006
 """Metres by which depths may differ and agree by half."""
@@ -54,7 +55,7 @@ class Agreement:
 class Comparer:
     """Compares poses of one object with looks; model: the object. index: its number. looks: at one moment."""
 
-    def __init__(self, model: ObjectModel, index: int, looks: Sequence[Look]) -> None:
+    def __init__(self, model: ObjectModel, index: int, looks: Sequence[View]) -> None:
         self._model = model
         self._sensor = model.sensor
         self._data = self._sensor.make_data()

@@ -19,10 +19,11 @@ from cluttergen_jax.downstream.perception.pose.icp import (
     starting_yaws,
 )
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
-from cluttergen_jax.downstream.perception.types import Look, PoseEstimate
+from cluttergen_jax.downstream.perception.types import PoseEstimate
 from cluttergen_jax.downstream.transforms import matrix_of, offset, pose_of, rigid, shift_along
 from cluttergen_jax.errors import ConfigError, range_text
 from cluttergen_jax.geometry import rotation_matrix
+from cluttergen_jax.views.view import View
 
 FEWEST_PIXELS = 40
 """Of an object, below which no pose is sought."""
@@ -115,7 +116,7 @@ class RegistrationEstimator:
         return self._models[index]
 
     def __call__(
-        self, index: int, looks: Sequence[Look], near: np.ndarray | None = None
+        self, index: int, looks: Sequence[View], near: np.ndarray | None = None
     ) -> PoseEstimate | None:
         """See `types.PoseEstimator`; where it was it is sought first."""
         model, free = self._load(index)
@@ -268,7 +269,7 @@ class RegistrationEstimator:
         )
 
 
-def seen_points(index: int, looks: Sequence[Look]) -> tuple[np.ndarray, np.ndarray, int]:
+def seen_points(index: int, looks: Sequence[View]) -> tuple[np.ndarray, np.ndarray, int]:
     """Points f64[P, 3] of an object, world frame; the eye of each f64[P, 3]; pixels in its masks.
 
     Points beyond the bulk of each look's, along its line of sight, are left out: what bled over an edge.

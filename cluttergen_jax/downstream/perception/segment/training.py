@@ -22,12 +22,12 @@ from cluttergen_jax.downstream.perception.segment.network import (
 )
 from cluttergen_jax.downstream.perception.segment.network_segmenter import KIND, answers_of
 from cluttergen_jax.downstream.perception.types import intersection_over_union
-from cluttergen_jax.downstream.perception.views.maker import VIEWS_A_SCENE
-from cluttergen_jax.downstream.perception.views.stage import RgbdImage, expose
+from cluttergen_jax.downstream.perception.views.maker import VIEWS_A_SCENE, expose
 from cluttergen_jax.downstream.perception.views.store import StoredView, ViewSet, read_views
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, NoiseConfig, noisy
+from cluttergen_jax.views.view import View
 
 _TENTH = 10
 
@@ -92,7 +92,7 @@ class ViewSource:
 def example_of(stored: StoredView, views: ViewSet, seed: int) -> SegmentExample:
     """A view as a noisy camera sees it, to learn from."""
     seen = simulate_camera(stored, REALSENSE, seed)
-    rgb, depth, height = shrink(seen.rgb, seen.depth, heights(seen, views.support))
+    rgb, depth, height = shrink(seen.colours, seen.depth, heights(seen, views.support))
     center = np.zeros((len(views.names), 2), np.float32)
     camera = stored.view.camera
     if len(stored.objects):
@@ -104,7 +104,7 @@ def example_of(stored: StoredView, views: ViewSet, seed: int) -> SegmentExample:
     return SegmentExample(rgb, depth, height, shrink_label(stored.view.label), center)
 
 
-def simulate_camera(stored: StoredView, noise: NoiseConfig, seed: int) -> RgbdImage:
+def simulate_camera(stored: StoredView, noise: NoiseConfig, seed: int) -> View:
     """What a camera of some exposure and noise makes of a stored view; with no noise the exposure stays, too.
 
     Depth is nan where nothing was measured; labels stay exact.
@@ -113,12 +113,12 @@ def simulate_camera(stored: StoredView, noise: NoiseConfig, seed: int) -> RgbdIm
     rng = np.random.default_rng((seed, stored.number, 7))
     if noise == NOISE_OFF:
         return view
-    rgb = expose(view.rgb, rng)
+    rgb = expose(view.colours, rng)
     depth, camera = noisy(view.depth, view.camera, noise, rng)
     return replace(view, rgb=rgb, depth=depth, camera=camera)
 
 
-def heights(view: RgbdImage, support: SupportAsset) -> np.ndarray:
+def heights(view: View, support: SupportAsset) -> np.ndarray:
     """f32[H, W]: metres over the table's top of what each pixel shows, nan where nothing was measured."""
     return (view.camera.points(view.depth)[..., 2] - support.top).astype(np.float32)
 

@@ -1,18 +1,29 @@
-"""The maker of views: draws scene, camera, arm and appearance of each, and renders blocks of them."""
+"""Views of perception data: objects, a table and the arm on a stage, seen by cameras that are drawn.
+
+Scene, camera, arm and appearance of each view are drawn; blocks of them are made.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
+import mujoco
 import numpy as np
 import pyarrow as pa
+from scipy.spatial.transform import Rotation
 
+from cluttergen_jax.assets.mjcf import VISUAL_GROUP
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.config import Variation
 from cluttergen_jax.downstream.bank_scenes import StableScenes
-from cluttergen_jax.downstream.perception.views.stage import Kind, Stage, draw_camera, open_stage
+from cluttergen_jax.downstream.perception.types import ARM, BACKGROUND, FIRST_OBJECT
 from cluttergen_jax.downstream.perception.views.store import (
     SCHEMA,
     VIEWS,
@@ -20,13 +31,183 @@ from cluttergen_jax.downstream.perception.views.store import (
     ViewSet,
     row_of,
 )
-from cluttergen_jax.downstream.robot.cameras import SIZE
+from cluttergen_jax.downstream.robot.cameras import FOCAL, SIZE, above, wrist_camera
+from cluttergen_jax.downstream.robot.description import find_robot
+from cluttergen_jax.downstream.robot.model import Robot, with_robot
+from cluttergen_jax.downstream.transforms import rigid
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.rendering.variation import TEXTURES_OF, draw_light
+from cluttergen_jax.rendering.lighting import add_lighting
+from cluttergen_jax.rendering.renderer import HIDDEN_GROUP
+from cluttergen_jax.rendering.scene_renderer import PictureConfig
+from cluttergen_jax.rendering.variation import TEXTURES_OF
+from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.bank import Bank
-from cluttergen_jax.sensing import Camera
+from cluttergen_jax.sensing import Camera, free
 from cluttergen_jax.statistics import is_of_share
+from cluttergen_jax.views.maker import ViewMaker
+from cluttergen_jax.views.view import View
+
+
+def expose(rgb: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """u8[H, W, 3]: a picture u8[H, W, 3] as a camera of another exposure and with noise takes it."""
+    gain, gamma, sigma = rng.uniform([0.7, 0.8, 0.0], [1.35, 1.25, 0.015])
+    balance = rng.normal(1.0, 0.03, 3)
+    light = gain * balance * (rgb / 255.0) ** gamma + sigma * rng.standard_normal(rgb.shape)
+    return np.round(255 * np.clip(light, 0, 1)).astype(np.uint8)
+
+
+Kind = Literal["free", "overhead", "wrist"]
+"""Of cameras."""
+_TILT = np.radians(4.0)
+_SHIFT = 0.03
+
+
+def draw_camera(
+    kind: Kind, support: SupportAsset, tool: np.ndarray | None, rng: np.random.Generator
+) -> Camera:
+    """A camera for a view: around the table, nearly overhead, or as the one on the hand.
+
+    Args:
+      tool: f64[4, 4], T_world_tool, where the arm is in the view; None if there is none.
+    """
+    if kind == "free":
+        return free(support, rng, *SIZE, FOCAL)
+    if kind == "overhead":
+        return _shake(above(support), rng)
+    return wrist_camera(_draw_tool(support, rng) if tool is None else tool)
+
+
+def _shake(camera: Camera, rng: np.random.Generator) -> Camera:
+    """The camera moved and turned by a little."""
+    T = camera.T_world_camera.copy()
+    T[:3, 3] += rng.uniform(-_SHIFT, _SHIFT, 3)
+    T[:3, :3] = Rotation.from_rotvec(rng.normal(0, _TILT, 3)).as_matrix() @ T[:3, :3]
+    return replace(camera, T_world_camera=T)
+
+
+def _draw_tool(support: SupportAsset, rng: np.random.Generator) -> np.ndarray:
+    """f64[4, 4]: a hand that looks down on the region from 30 to 60 cm, tilted by up to a few degrees."""
+    half = 0.6 * np.asarray(support.region.half_extents)
+    place = np.array([*support.region.center, support.top])
+    place += [*rng.uniform(-half, half), rng.uniform(0.3, 0.6)]
+    turn = Rotation.from_euler("zx", [rng.uniform(0, 2 * np.pi), np.pi])
+    tilt = Rotation.from_rotvec(rng.normal(0, np.radians(6.0), 3))
+    return rigid((tilt * turn).as_matrix(), place)
+
+
+_PARKED = 60.0
+"""Metres from the table, where objects are before they are placed."""
+_REACH = 1.5
+_LOW = 0.25
+"""Metres over the table that the tool stays, so that the arm meets no object."""
+_ARM_SPREAD = 0.25
+_ARM_TRIES = 20
+_SHADOWS = 1024
+"""Pixels of a lamp's shadows; the usual 2,048 take most of a small picture's time."""
+
+
+class Stage:
+    """See `open_stage`."""
+
+    def __init__(
+        self,
+        maker: ViewMaker,
+        objects: Sequence[ObjectAsset],
+        support: SupportAsset,
+        has_arm: bool,
+    ) -> None:
+        self._maker = maker
+        self._objects = tuple(objects)
+        self._support = support
+        self.place(np.zeros((len(objects), 7)), np.zeros(len(objects), bool))
+        renderer = maker.renderer
+        renderer.reach = _REACH
+        self._data = renderer.data
+        self._model = renderer.model_renderer.model
+        self._arm = Robot.of(self._model) if has_arm else None
+        is_arm = np.zeros(self._model.ngeom, bool)
+        if self._arm is not None:
+            is_arm = self._arm.is_arm[self._model.geom_bodyid]
+        self._arm_geoms = is_arm & (self._model.geom_group == VISUAL_GROUP)
+        is_object = renderer.labels >= FIRST_OBJECT
+        renderer.labels = np.where(is_arm, ARM, np.where(is_object, renderer.labels, BACKGROUND))
+
+    def place(self, poses: np.ndarray, is_placed: np.ndarray) -> None:
+        """Puts the objects where they stand.
+
+        Args:
+          poses: f[K, 7], T_world_object; is_placed: bool[K], the others are not there.
+        """
+        self._maker.place(self._objects, poses, self._support, is_placed)
+
+    def dress(self, rng: np.random.Generator, textures: Sequence[int]) -> int:
+        """See `ViewMaker.dress`."""
+        return self._maker.dress(rng, textures)
+
+    def move_arm(self, top: float, rng: np.random.Generator | None) -> np.ndarray | None:
+        """Shows the arm, somewhere about its home and well over the table; T_world_tool f64[4, 4].
+
+        Args:
+          top: the height of the table. rng: None hides the arm, and there is no tool.
+        """
+        is_hidden = rng is None
+        self._model.geom_group[self._arm_geoms] = HIDDEN_GROUP if is_hidden else VISUAL_GROUP
+        self._model.site_group[:] = HIDDEN_GROUP if is_hidden else 0
+        if self._arm is None or rng is None:
+            return None
+        home = np.array(find_robot().arm.home)
+        for _ in range(_ARM_TRIES):
+            joints = np.clip(
+                home + rng.normal(0, _ARM_SPREAD, len(home)), self._arm.low, self._arm.high
+            )
+            self._data.qpos[self._arm.qpos] = joints
+            self._data.qpos[self._arm.fingers] = rng.uniform(0.0, 0.04)
+            mujoco.mj_kinematics(self._model, self._data)
+            if self._arm.tool(self._data)[2, 3] > top + _LOW:
+                break
+        return self._arm.tool(self._data)
+
+    def picture(self, camera: Camera) -> View:
+        """What a camera of `cameras.SIZE` sees now; labels u8[H, W], see `types`."""
+        view = self._maker.see(camera)
+        return replace(view, label=view.label.astype(np.uint8))
+
+
+@contextmanager
+def open_stage(
+    objects: Sequence[ObjectAsset], support: SupportAsset, has_arm: bool
+) -> Iterator[Stage]:
+    """A stage.
+
+    Args:
+      has_arm: the arm can be shown.
+
+    Raises:
+      MissingExtraError: the arm is wanted and the extra `robot` is not installed.
+      RendererError: nothing here can draw.
+    """
+    with ViewMaker(
+        PictureConfig(*SIZE, samples=1),
+        vary=get_args(Variation),
+        around=_REACH * np.array([[-1, -1, 0], [1, 1, 1]]),
+        spec_of=partial(_stage_spec, has_arm),
+        is_measured_by_gl=True,
+    ) as maker:
+        yield Stage(maker, objects, support, has_arm)
+
+
+def _stage_spec(
+    has_arm: bool, objects: Sequence[ObjectAsset], support: SupportAsset
+) -> mujoco.MjSpec:
+    names = tuple(asset.name for asset in objects)
+    poses = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (len(names), 1))
+    poses[:, 0] = _PARKED + np.arange(len(names))
+    scene = Scene(names, tuple(objects), poses, support)
+    spec = with_robot(scene) if has_arm else scene.to_mjspec()
+    add_lighting(spec).visual.quality.shadowsize = _SHADOWS
+    return spec
+
 
 _ROBOT = 0.6
 """Share of pairs of the robot's cameras."""
@@ -40,7 +221,7 @@ VIEWS_A_SCENE = 4
 
 
 @dataclass(frozen=True)
-class ViewConfig:
+class PerceptionViewConfig:
     """What views are made of.
 
     Attributes:
@@ -55,8 +236,8 @@ class ViewConfig:
             raise ConfigError(f"arm = {self.arm}", "a share from 0 to 1", "arm=0")
 
 
-class ViewMaker:
-    """Makes views of scenes; view i is the same however many are made.
+class PerceptionViews:
+    """Draws views of scenes on a stage; view i is the same however many are made.
 
     Args:
       scenes: of each bank; all of the same objects and support. stage: see `open_stage`.
@@ -67,7 +248,7 @@ class ViewMaker:
         self,
         scenes: Sequence[StableScenes],
         stage: Stage,
-        config: ViewConfig,
+        config: PerceptionViewConfig,
         split: str,
         support: Any,
         num_objects: int,
@@ -104,8 +285,8 @@ class ViewMaker:
         tool = stage.move_arm(support.top, rng if has_arm else None)
         kind = _ROBOTS[place] if is_robot else "free"
         rng = np.random.default_rng((self._config.seed, number, 4))
-        texture, yaw = self._dress(rng)
-        seen = stage.picture(self._camera(kind, poses[placed], tool, rng), yaw)
+        texture = stage.dress(rng, self._textures)
+        seen = stage.picture(self._camera(kind, poses[placed], tool, rng))
         stored = StoredView(number, seen, placed, poses[placed], scenes.method, has_arm)
         return row_of(stored, int(scenes.number[row]), texture)
 
@@ -122,16 +303,6 @@ class ViewMaker:
         turn, bank = divmod(pair, len(self._scenes))
         start = np.random.default_rng((self._config.seed, which, 5)).uniform()
         return is_of_share(turn, share, (start + bank / len(self._scenes)) % 1)
-
-    def _dress(self, rng: np.random.Generator) -> tuple[int, float]:
-        """Draws colours, texture and light; the texture's number and the lamps' turn."""
-        look = self._stage.appearance
-        texture = int(rng.choice(self._textures))
-        light = draw_light(rng)
-        self._stage.model.geom_rgba[:] = look.draw_colours(rng)
-        look.set_texture(texture)
-        look.set_light(light)
-        return texture, light.yaw
 
     def _camera(
         self, kind: Kind, poses: np.ndarray, tool: np.ndarray | None, rng: np.random.Generator
@@ -153,7 +324,7 @@ def write_views(
     banks: Mapping[str, Bank],
     split: str,
     num_views: int,
-    config: ViewConfig,
+    config: PerceptionViewConfig,
     overwrite: bool = False,
 ) -> ViewSet:
     """The views of one split in a folder, begun or continued; see `cluttergen_jax.perception_data`."""
@@ -183,11 +354,11 @@ def write_views(
             Progress(f"views of {split}", total, "view", total - sum(missing.values())) as progress,
             open_stage(views.objects, views.support, config.arm > 0) as stage,
         ):
-            maker = ViewMaker(scenes, stage, config, split, views.support, len(views.objects))
+            drawn = PerceptionViews(scenes, stage, config, split, views.support, len(views.objects))
             for block, number in missing.items():
                 rows = []
                 for view in range(block * VIEWS.block_size, block * VIEWS.block_size + number):
-                    rows.append(maker.view(view))
+                    rows.append(drawn.view(view))
                     progress.update(1)
                 VIEWS.write_block(path, split, block, pa.Table.from_pylist(rows, schema=SCHEMA))
 

@@ -18,12 +18,13 @@ from cluttergen_jax.config import MAX_VIEWS
 from cluttergen_jax.downstream.columns import FAR, MOST_PIXELS, faults_of, lengths_of, read_columns
 from cluttergen_jax.downstream.digests import json_digest
 from cluttergen_jax.downstream.perception.types import num_classes
-from cluttergen_jax.downstream.perception.views.stage import RgbdImage
 from cluttergen_jax.downstream.samples import SampleFormat, SampleSet
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.scene.bank import Bank
 from cluttergen_jax.schema import Numbers, refuse
 from cluttergen_jax.sensing import Camera
+from cluttergen_jax.views.images import TENTH_OF_A_MILLIMETRE, depth_levels, depth_of
+from cluttergen_jax.views.view import View
 
 
 class ViewSplit(msgspec.Struct):
@@ -54,7 +55,7 @@ _NUMBERS = {
 
 
 def check_rows(table: pa.Table) -> None:
-    """Refuses rows of views that no `ViewMaker` makes.
+    """Refuses rows that no `PerceptionViews` draws.
 
     Raises:
       SchemaError: a number is not finite or out of its range, or the parts of a row do not belong together.
@@ -109,7 +110,7 @@ class StoredView:
     """
 
     number: int
-    view: RgbdImage
+    view: View
     objects: np.ndarray
     poses: np.ndarray
     method: str
@@ -178,10 +179,7 @@ def row_of(stored: StoredView, scene: int, texture: int) -> dict[str, object]:
     """A view as a row of `SCHEMA`."""
     view = stored.view
     camera = stored.view.camera
-    tenths = np.round(
-        np.where(np.isfinite(view.depth), view.depth, 0.0).astype(np.float64) * TENTHS_A_METRE
-    )
-    depth = np.where(tenths <= np.iinfo(np.uint16).max, tenths, 0).astype("<u2")
+    depth = depth_levels(view.depth.astype(np.float64), TENTH_OF_A_MILLIMETRE).astype("<u2")
     return {
         "view": stored.number,
         "scene": scene,
@@ -192,7 +190,7 @@ def row_of(stored: StoredView, scene: int, texture: int) -> dict[str, object]:
         "T_world_camera": camera.T_world_camera.ravel().tolist(),
         "width": camera.width,
         "height": camera.height,
-        "rgb": view.rgb.tobytes(),
+        "rgb": view.colours.tobytes(),
         "depth": depth.tobytes(),
         "label": view.label.tobytes(),
         "objects": stored.objects.tolist(),
@@ -209,15 +207,15 @@ def _view_of(row: dict[str, Any]) -> StoredView:
         np.array(row["camera_K"]).reshape(3, 3),
         np.array(row["T_world_camera"]).reshape(4, 4),
     )
-    tenths = np.frombuffer(row["depth"], "<u2").reshape(shape)
-    depth = np.where(tenths > 0, tenths / np.float32(TENTHS_A_METRE), np.inf).astype(np.float32)
+    levels = np.frombuffer(row["depth"], "<u2").reshape(shape)
+    depth = depth_of(levels, TENTHS_A_METRE)
     rgb = np.frombuffer(row["rgb"], np.uint8).reshape(*shape, 3)
     label = np.frombuffer(row["label"], np.uint8).reshape(shape)
     poses = np.array(row["poses"], np.float64).reshape(-1, 7)
     objects = np.array(row["objects"], np.int64)
     return StoredView(
         row["view"],
-        RgbdImage(rgb, depth, label, camera),
+        View(depth, label, camera, rgb),
         objects,
         poses,
         row["method"],

@@ -9,7 +9,6 @@ import jax
 import numpy as np
 
 from cluttergen_jax.downstream.fitting import concatenate, in_parts
-from cluttergen_jax.downstream.parts import is_own, part_name
 from cluttergen_jax.downstream.placer.pairs.store import PairLabels
 from cluttergen_jax.downstream.placer.partial_scenes import ProposalJudge, episode_of, judging_rules
 from cluttergen_jax.downstream.placer.proposers import FullState, proposals_of
@@ -24,6 +23,7 @@ from cluttergen_jax.downstream.placer.query import (
 )
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.numerics import new_key
+from cluttergen_jax.own_parts import is_own, part_name
 from cluttergen_jax.physics.paper_count import PaperCount
 from cluttergen_jax.placement.heightmap import HeightMapper
 from cluttergen_jax.placement.problem import Setup

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.downstream.digests import json_digest
-from cluttergen_jax.downstream.parts import part_label, part_name
 from cluttergen_jax.downstream.placer.evaluation.bench import Bench, ProposalOutcomes
 from cluttergen_jax.downstream.placer.evaluation.chain import Chains
 from cluttergen_jax.downstream.placer.evaluation.tables import (
@@ -38,6 +37,7 @@ from cluttergen_jax.evaluation.store import Store, json_bytes
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.learning.methods import checkpoint_of
 from cluttergen_jax.learning.ppo import checkpoint
+from cluttergen_jax.own_parts import part_label, part_name
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene.bank import Bank, read_bank
 from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, NoiseConfig

@@ -26,7 +26,6 @@ import pyarrow.parquet as pq
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.obj import mesh_text
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.downstream.dataset.files import begin_record, dataset_folder
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping import vgn
 from cluttergen_jax.downstream.robot.grasping.clutter import (
@@ -49,6 +48,7 @@ from cluttergen_jax.scene.bank import assets_section, front_matter, read_bank, w
 from cluttergen_jax.scene.bank.scene import read_scenes
 from cluttergen_jax.sensing import REALSENSE, Camera, noisy
 from cluttergen_jax.tables import markdown_table
+from cluttergen_jax.views.shards import begin_record, dataset_folder
 
 GRASPS = "grasps.parquet"
 _CONTENT = "grasps"

@@ -13,7 +13,6 @@ import pyarrow.parquet as pq
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash
-from cluttergen_jax.downstream.parts import array_of
 from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
 from cluttergen_jax.downstream.robot.grasping.grasps import (
     Grasps,
@@ -25,6 +24,7 @@ from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.robot.protocols import GraspSource
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
 from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.own_parts import array_of
 
 _HINT = "{'mug': (poses, widths), ...}, or a file of `cluttergen robot grasps` with --out"
 _UNIT = 1e-3

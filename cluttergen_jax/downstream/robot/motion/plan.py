@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cluttergen_jax.downstream.parts import array_of, part_name
 from cluttergen_jax.downstream.robot.grasping.grips import Grip
 from cluttergen_jax.downstream.robot.motion.collision import Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics, import_extra
 from cluttergen_jax.downstream.robot.protocols import PathPlanner, PathQuery
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.own_parts import array_of, part_name
 
 MOST_CHECKS = 15_000
 """Collision queries after which a search is given up; time would depend on the machine."""

@@ -1,1 +1,0 @@
-"""The neutral judge: anybody's scenes by one strict rule."""

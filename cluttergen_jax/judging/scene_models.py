@@ -1,0 +1,284 @@
+"""Finished scenes in plain MuJoCo: scenes by object index, models of what stands in them, how far it moves.
+
+Models hold what stands in a scene and nothing else, as its saved file has it; several are simulated at a time
+on threads.
+"""
+
+from __future__ import annotations
+
+import copy
+import os
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TypeVar
+
+import mujoco
+import numpy as np
+
+from cluttergen_jax.assets.mjcf import add_object, add_support, new_spec
+from cluttergen_jax.config import ContactConfig, Detector, StabilityConfig
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.physics.layout import Layout
+from cluttergen_jax.physics.log import silent_log
+from cluttergen_jax.physics.standing import (
+    Advance,
+    has_moved,
+    horizons_of,
+    keep_awake,
+    stepper,
+    watch,
+)
+from cluttergen_jax.placement.world import World
+
+_MAX_MODELS = 64
+_FLOOR = (4.0, 4.0, 0.1)
+_STRIDE_SECONDS = 0.05
+
+Result = TypeVar("Result")
+
+
+def by_object(
+    object_index: np.ndarray, is_placed: np.ndarray, slot_poses: np.ndarray, num_objects: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Scenes by slot (`placement.scenes.SceneBatch`) as scenes by object.
+
+    Args:
+      object_index: i[N, S], the object of each slot, -1 where there is none.
+      is_placed: bool[N, S], the slot was filled.
+      slot_poses: f[N, S, 7], world, metres, wxyz.
+      num_objects: K, objects in the compiled world.
+
+    Returns:
+      poses f64[N, K, 7] (at the origin, unturned, where not placed), is_placed bool[N, K], and slot i32[N,
+      K], the place in the order of placement, -1 where not placed.
+    """
+    object_index = np.asarray(object_index)
+    is_placed = np.asarray(is_placed, bool)
+    num_scenes = len(object_index)
+    poses = np.tile(np.eye(7)[3], (num_scenes, num_objects, 1))
+    placed = np.zeros((num_scenes, num_objects), bool)
+    slot = np.full((num_scenes, num_objects), -1, np.int32)
+    scene, place = np.nonzero(is_placed & (object_index >= 0))
+    which = object_index[scene, place]
+    poses[scene, which] = np.asarray(slot_poses)[scene, place]
+    placed[scene, which] = True
+    slot[scene, which] = place
+    return poses, placed, slot
+
+
+def check_scenes(poses: np.ndarray, is_placed: np.ndarray, num_objects: int | None = None) -> None:
+    """Refuses arrays that are not scenes by object index.
+
+    Raises:
+      ConfigError: shapes other than [N, K, 7] and [N, K], or a placed object without a finite pose.
+    """
+    shape = np.shape(is_placed)
+    right = len(shape) == 2 and np.shape(poses) == (*shape, 7)
+    if not right or (num_objects is not None and shape[1] != num_objects):
+        raise ConfigError(
+            f"poses of shape {np.shape(poses)} and is_placed of shape {shape}",
+            f"(N, K, 7) and (N, K){'' if num_objects is None else f' with K = {num_objects}'}",
+            "arrangement.by_object, which makes them of slots",
+        )
+    if not np.isfinite(np.asarray(poses)[np.asarray(is_placed, bool)]).all():
+        raise ConfigError("a placed object whose pose is not finite", "finished scenes only")
+
+
+@dataclass(frozen=True, eq=False)
+class StandingModel:
+    """One set of objects on the support, over a floor. n objects.
+
+    Attributes:
+      layout: of the compiled model; nothing sleeps, and what diverges is seen, not reset.
+      objects: i64[n], which of the world's objects they are, ascending.
+    """
+
+    layout: Layout
+    objects: np.ndarray
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The compiled model, shared by all scenes of these objects: copy it before changing it."""
+        return self.layout.model
+
+    def own_model(self) -> mujoco.MjModel:
+        """A copy that may be changed."""
+        return copy.copy(self.layout.model)
+
+    def start(self, poses: np.ndarray, model: mujoco.MjModel | None = None) -> mujoco.MjData:
+        """A simulation at rest with the objects at poses f[K, 7], world, metres, wxyz, forward computed."""
+        model = model or self.model
+        data = mujoco.MjData(model)
+        start = np.asarray(poses, np.float64)[self.objects].copy()
+        start[:, 3:] /= np.linalg.norm(start[:, 3:], axis=1, keepdims=True)
+        data.qpos[:] = start.ravel()
+        mujoco.mj_forward(model, data)
+        return data
+
+
+class SceneModels:
+    """Compiles a model for each set of objects that is asked for, and keeps the latest 64.
+
+    Args:
+      world: whose objects and support.
+      stability: its time step counts.
+      contact: friction and solver.
+      mass_scale: f[K] or one number, by which each object's mass and inertia are multiplied.
+      detector: of convex collisions.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        stability: StabilityConfig | None = None,
+        contact: ContactConfig | None = None,
+        mass_scale: np.ndarray | float = 1.0,
+        detector: Detector = "native",
+    ) -> None:
+        self.world = world
+        self.detector = detector
+        self.stability = stability or StabilityConfig()
+        self.contact = contact or ContactConfig()
+        self.mass_scale = np.broadcast_to(np.asarray(mass_scale, np.float64), (world.num_objects,))
+        self._cache: OrderedDict[bytes, StandingModel] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def with_detector(self, detector: Detector) -> SceneModels:
+        """The same scenes with another detector of convex collisions."""
+        return SceneModels(self.world, self.stability, self.contact, self.mass_scale, detector)
+
+    def check(self, poses: np.ndarray, is_placed: np.ndarray) -> None:
+        """ConfigError unless they are scenes of this world: poses f[N, K, 7], is_placed bool[N, K]."""
+        check_scenes(poses, is_placed, self.world.num_objects)
+
+    def of(self, is_placed: np.ndarray) -> StandingModel:
+        """The model of the objects that stand: bool[K]."""
+        key = np.asarray(is_placed, bool).tobytes()
+        with self._lock:
+            if key not in self._cache:
+                self._cache[key] = self._compile(np.flatnonzero(is_placed))
+                if len(self._cache) > _MAX_MODELS:
+                    self._cache.popitem(last=False)
+            self._cache.move_to_end(key)
+            return self._cache[key]
+
+    def _compile(self, objects: np.ndarray) -> StandingModel:
+        spec = new_spec(self.stability.timestep, self.contact)
+        spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=_FLOOR)
+        add_support(spec, self.world.support)
+        for k in objects:
+            add_object(spec, self.world.objects[k], self.world.names[k])
+        model = spec.compile()
+        keep_awake(model, self.detector)
+        scale = self.mass_scale[objects]
+        if (scale != 1).any():
+            bodies = model.jnt_bodyid
+            model.body_mass[bodies] *= scale
+            model.body_inertia[bodies] *= scale[:, None]
+            mujoco.mj_setConst(model, mujoco.MjData(model))
+        return StandingModel(Layout.of(model, self.world.support.top), objects)
+
+
+def each_scene(
+    function: Callable[[int], Result], num_scenes: int, num_threads: int = 0
+) -> list[Result]:
+    """`function` of 0 to num_scenes - 1, on threads (0: one for each core); MuJoCo's log is silent."""
+    threads = num_threads or os.cpu_count() or 1
+    with silent_log():
+        if threads == 1:
+            return [function(scene) for scene in range(num_scenes)]
+        with ThreadPoolExecutor(threads) as pool:
+            return list(pool.map(function, range(num_scenes)))
+
+
+@dataclass(frozen=True, eq=False)
+class Movement:
+    """How far objects were from where they began, at most. N scenes, H horizons, K objects.
+
+    Attributes:
+      seconds: f64[H], ascending.
+      shift: f64[N, H, K], metres, up to each horizon; zero where not placed, infinite where it diverged.
+      turn: f64[N, H, K], radians.
+    """
+
+    seconds: np.ndarray
+    shift: np.ndarray
+    turn: np.ndarray
+
+    @property
+    def largest_shift(self) -> np.ndarray:
+        """f64[N, H]: metres, of the object that moved the most."""
+        return self.shift.max(-1, initial=0.0)
+
+    @property
+    def largest_turn(self) -> np.ndarray:
+        """f64[N, H]: radians, of the object that turned the most."""
+        return self.turn.max(-1, initial=0.0)
+
+    def survives(self) -> np.ndarray:
+        """bool[N, H]: nothing went farther than finished scenes allow (docs/contract.md)."""
+        return ~has_moved(self.largest_shift, self.largest_turn, StabilityConfig())
+
+    def watch(
+        self,
+        scene: int,
+        objects: np.ndarray,
+        advance: Advance,
+        start: np.ndarray,
+        models: SceneModels,
+    ) -> None:
+        """Fills in one scene, looked at every 0.05 s and at each horizon.
+
+        Args:
+          objects: i[n], which of its objects stand; start: f64[n, 7], where.
+          advance: simulates them, in steps as long as the models'.
+        """
+        timestep = models.stability.timestep
+        marks = np.rint(self.seconds / timestep).astype(int).tolist()
+        stride = max(round(_STRIDE_SECONDS / timestep), 1)
+        for place, (shift, turn) in enumerate(watch(advance, start, marks, stride)):
+            self.shift[scene, place, objects] = shift
+            self.turn[scene, place, objects] = turn
+
+
+def no_movement(is_placed: np.ndarray, seconds: Sequence[float]) -> Movement:
+    """A movement of zeros, for bool[N, K] and horizons in seconds; see `horizons_of`."""
+    horizons = horizons_of(seconds)
+    shape = (len(is_placed), len(horizons), is_placed.shape[1])
+    return Movement(horizons, np.zeros(shape), np.zeros(shape))
+
+
+def movement(
+    models: SceneModels,
+    poses: np.ndarray,
+    is_placed: np.ndarray,
+    seconds: Sequence[float],
+    num_threads: int = 0,
+) -> Movement:
+    """Simulates scenes from rest and reports the farthest that each object was from its start.
+
+    Objects are looked at every 0.05 s and at each horizon.
+
+    Args:
+      poses: f[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].
+      seconds: horizons, ascending.
+
+    Raises:
+      ConfigError: the arrays are not scenes of the world, or `horizons_of` refuses the horizons.
+    """
+    models.check(poses, is_placed)
+    poses = np.asarray(poses, np.float64)
+    is_placed = np.asarray(is_placed, bool)
+    result = no_movement(is_placed, seconds)
+
+    def run(scene: int) -> None:
+        model = models.of(is_placed[scene])
+        data = model.start(poses[scene])
+        step = stepper(model.model, data)
+        result.watch(scene, model.objects, step, data.qpos.reshape(-1, 7), models)
+
+    each_scene(run, len(poses), num_threads)
+    return result

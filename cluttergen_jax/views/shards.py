@@ -1,0 +1,200 @@
+"""Datasets of views on disk: shards that are whole or not there, and a record of how they were made.
+
+    dataset.json                     how it was made, how many views each split has
+    train-00-000003.parquet (.tar)   the views of a split of 64 scenes of bank 0
+
+A shard holds the scenes of a split among 64 of a bank, perhaps none.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import tarfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from cluttergen_jax.errors import BankError
+from cluttergen_jax.files import write_atomically
+from cluttergen_jax.kept_folder import KeptFolder, check_recipe
+from cluttergen_jax.schema import SchemaError, checked_record, digest_of, with_checksum
+from cluttergen_jax.sensing import Instance
+from cluttergen_jax.views.images import depth_png, label_image, png_of
+from cluttergen_jax.views.view import SeenScene, View
+
+ShardForm = Literal["parquet", "webdataset"]
+ENDINGS: dict[ShardForm, str] = {"parquet": "parquet", "webdataset": "tar"}
+INDEX = "dataset.json"
+_IMAGES = ("rgb", "depth", "label", "amodal")
+SCENES_PER_SHARD = 64
+
+_BOX = pa.list_(pa.list_(pa.int32(), 4))
+SCHEMA = pa.schema(
+    [
+        ("bank", pa.string()),
+        ("scene", pa.int32()),
+        ("camera", pa.string()),
+        ("width", pa.int32()),
+        ("height", pa.int32()),
+        ("K", pa.list_(pa.float64(), 9)),
+        ("T_world_camera", pa.list_(pa.float64(), 16)),
+        ("names", pa.list_(pa.string())),
+        ("labels", pa.list_(pa.string())),
+        ("poses", pa.list_(pa.list_(pa.float64(), 7))),
+        ("visible", pa.list_(pa.float32())),
+        ("box_visible", _BOX),
+        ("box_amodal", _BOX),
+        ("rgb", pa.binary()),
+        ("depth", pa.binary()),
+        ("label", pa.binary()),
+        ("amodal", pa.list_(pa.binary())),
+    ]
+)
+"""A row for each view. K and T_world_camera row by row; poses T_world_object, metres, wxyz; boxes column,
+row, width, height in pixels; `depth` a PNG file in millimetres along the optical axis, `label` one of 0 floor
+or nothing, 1 support, 2 + k object k; `amodal` a PNG file of each object's whole silhouette."""
+
+
+def shard_name(split: str, bank: int, shard: int, form: ShardForm) -> str:
+    """The file of a split's views of a shard of scenes."""
+    return f"{split}-{bank:02d}-{shard:06d}.{ENDINGS[form]}"
+
+
+def row_of(view: View, scene: SeenScene, bank: str, camera: str) -> dict[str, Any]:
+    """A view of a scene as a row of `SCHEMA`: images as PNG files, numbers as lists.
+
+    Args:
+      bank, camera: their names.
+    """
+    seen_from = view.camera
+    return {
+        "bank": bank,
+        "scene": scene.number,
+        "camera": camera,
+        "width": seen_from.width,
+        "height": seen_from.height,
+        "K": seen_from.K.ravel().tolist(),
+        "T_world_camera": seen_from.T_world_camera.ravel().tolist(),
+        "names": list(scene.names),
+        "labels": [asset.label for asset in scene.objects],
+        "poses": scene.poses.tolist(),
+        "visible": [each.visible_share for each in view.instances],
+        "box_visible": [_visible_box(each.visible) for each in view.instances],
+        "box_amodal": [_amodal_box(each) for each in view.instances],
+        "rgb": None if view.rgb is None else png_of(view.rgb),
+        "depth": depth_png(view.depth),
+        "label": png_of(label_image(view.label, view.label.max())),
+        "amodal": [png_of(each.mask) for each in view.instances],
+    }
+
+
+def _visible_box(mask: np.ndarray) -> list[int]:
+    """First column and row, width and height, pixels; zeros where nothing is."""
+    rows = np.flatnonzero(mask.any(1))
+    columns = np.flatnonzero(mask.any(0))
+    if not len(rows):
+        return [0, 0, 0, 0]
+    return [int(columns[0]), int(rows[0]), int(np.ptp(columns)) + 1, int(np.ptp(rows)) + 1]
+
+
+def _amodal_box(each: Instance) -> list[int]:
+    if each.box is None:
+        return [0, 0, 0, 0]
+    left, right, upper, lower = each.box
+    return [left, upper, right - left + 1, lower - upper + 1]
+
+
+def encode_rows(rows: Sequence[dict[str, Any]], form: ShardForm) -> bytes:
+    """The views of one shard as a file, a row of `row_of` each."""
+    if form == "parquet":
+        buffer = io.BytesIO()
+        table = pa.Table.from_pylist(rows, schema=SCHEMA)
+        # Images are compressed already.
+        pq.write_table(
+            table, buffer, compression="none", write_page_checksum=True, row_group_size=16
+        )
+        return buffer.getvalue()
+    return _tar(rows)
+
+
+def _tar(rows: Sequence[dict[str, Any]]) -> bytes:
+    """A tar file as the library WebDataset reads it: files of one view share all before the first dot."""
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w", format=tarfile.USTAR_FORMAT) as tar:
+
+        def add(name: str, data: bytes) -> None:
+            info = tarfile.TarInfo(name)
+            info.size = len(data)
+            tar.addfile(info, io.BytesIO(data))
+
+        for row in rows:
+            key = f"{row['bank']}-{row['scene']:06d}-{row['camera']}".replace(".", "_")
+            images = {
+                name: row[name] for name in ("rgb", "depth", "label") if row[name] is not None
+            }
+            images |= {f"amodal-{place:03d}": mask for place, mask in enumerate(row["amodal"])}
+            rest = {name: value for name, value in row.items() if name not in _IMAGES}
+            for name, data in images.items():
+                add(f"{key}.{name}.png", data)
+            add(f"{key}.json", json.dumps(rest).encode())
+    return buffer.getvalue()
+
+
+def is_whole_shard(path: Path, form: ShardForm, num_views: int, digest: str | None) -> bool:
+    """Whether a shard is there as it was written, with so many views.
+
+    Args:
+      digest: of the file, where it is known.
+    """
+    try:
+        if digest is not None and digest_of(path.read_bytes()) != digest:
+            return False
+        if form == "parquet":
+            return pq.read_metadata(path).num_rows == num_views
+        with tarfile.open(path) as tar:
+            return sum(name.endswith(".json") for name in tar.getnames()) == num_views
+    except (OSError, pa.ArrowException, tarfile.TarError):
+        return False
+
+
+def dataset_folder(path: Path, content: str = "views") -> KeptFolder:
+    """The folder of a dataset of views, or of other `content`, which may not exist yet."""
+    return KeptFolder(
+        path,
+        is_whole=lambda folder: (folder / INDEX).is_file(),
+        refusal="{path} exists and holds no dataset of " + content,
+        is_begun=lambda each: False,
+    )
+
+
+def begin_record(path: Path, recipe: dict[str, Any], content: str = "views") -> dict[str, Any]:
+    """What is known of a dataset; empty where it is begun now, and then it says how it is made.
+
+    Raises:
+      BankError: it was made otherwise, or its record is damaged.
+    """
+    file = path / INDEX
+    if not file.exists():
+        write_record(path, {"recipe": recipe}, content)
+        return {}
+    try:
+        known = checked_record(file.read_bytes())
+        theirs = known["recipe"]
+    except (OSError, SchemaError, KeyError) as error:
+        raise BankError(f"{file} cannot be read ({error})", hint="another `out`") from error
+    check_recipe(path, f"{content} made", recipe, theirs)
+    return known
+
+
+def write_record(path: Path, record: dict[str, Any], content: str = "views") -> None:
+    """Stores the record of a dataset."""
+    text = (
+        json.dumps(with_checksum({"format": 1, "kind": f"{content} of scenes", **record}), indent=1)
+        + "\n"
+    )
+    write_atomically(path / INDEX, text.encode(), is_durable=True)

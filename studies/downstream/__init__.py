@@ -1,0 +1,1 @@
+"""Studies of what scenes are good for: stable placement, perception, a robot."""
