@@ -70,7 +70,9 @@ class Trial:
         if not 0 <= self.seed < 2**32:
             raise ConfigError(f"seed = {self.seed}", "0 to 4294967295")
         find_change(self.change)
-        spec = self.spec.with_rules(self.spec.method)
+        method = self.spec.method
+        assert isinstance(method, str), "a trial is of a method"
+        spec = self.spec.with_rules(method)
         decided = replace(
             spec,
             pool=spec.pool_text,
@@ -104,8 +106,9 @@ class Trial:
     @property
     def method(self) -> str:
         """A name of `config.METHODS`, or of a method that was removed."""
-        assert self.spec.method is not None, "a trial is of a method"
-        return self.removed_method or self.spec.method
+        method = self.spec.method
+        assert isinstance(method, str), "a trial is of a method"
+        return self.removed_method or method
 
     @property
     def num_objects(self) -> int:
