@@ -102,9 +102,8 @@ class Net(nn.Module):  # a Beta policy, and a value
 config = PPOConfig(num_minibatches=4, discount=0.97, num_attempts=80_000)
 learner = PPO(Push(bank), Net().apply, config)
 state = learner.start(jax.random.key(0), Net().init(jax.random.key(1), jnp.zeros((1, 16))))
-state = jax.device_put(
-    state, jax.devices()[0]
-)  # MJX's arrays are; else the second update compiles anew
+# MJX's arrays are; else the second update compiles anew
+state = jax.device_put(state, jax.devices()[0])
 update = jax.jit(learner.update)
 started = time.monotonic()
 for number in range(1, config.num_updates + 1):

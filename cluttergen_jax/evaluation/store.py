@@ -67,15 +67,14 @@ class Store:
         if self.root is None:
             return None
         path = self.path(title, key).with_suffix(".npz")
+        # A damaged archive makes zipfile and NumPy raise whatever they like.
         try:
             self._check_scenes(path)
             with np.load(path, allow_pickle=False) as stored:
                 return {name: stored[name] for name in stored.files}
         except FileNotFoundError:
             return None
-        except (
-            Exception
-        ) as error:  # A damaged archive makes zipfile and NumPy raise whatever they like.
+        except Exception as error:
             self._set_aside(path, f"{type(error).__name__}: {error}")
             return None
 

@@ -262,9 +262,8 @@ def test_the_last_check_is_staged():
 
 
 def test_below_top_looks_at_the_center_of_mass():
-    poses = np.array(
-        [[[0, 0, 1.0, 1, 0, 0, 0], [0, 0, 1.0, 0, 1, 0, 0]]]
-    )  # upright, and upside down
+    # upright, and upside down
+    poses = np.array([[[0, 0, 1.0, 1, 0, 0, 0], [0, 0, 1.0, 0, 1, 0, 0]]])
     center = np.array([[0, 0, 0.2], [0, 0, 0.2]])
     np.testing.assert_array_equal(below_top(np, poses, center, 1.1), [[False, True]])
     np.testing.assert_array_equal(below_top(np, poses, center, 0.7), [[False, False]])

@@ -111,9 +111,8 @@ def ring_sectors(
         for a in angles
     ]
     if np.isclose(stop - start, 2 * np.pi):
-        edges[-1] = edges[
-            0
-        ]  # sin(2 pi) is not quite 0: a gap, however fine, would show up as two more faces
+        # sin(2 pi) is not quite 0: a gap, however fine, would show up as two more faces
+        edges[-1] = edges[0]
     return tuple(hull(np.concatenate([edges[k], edges[k + 1]])) for k in range(num))
 
 

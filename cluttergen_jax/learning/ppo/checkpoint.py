@@ -277,6 +277,7 @@ def check_weights(path: Path) -> None:
 
 def _stored_weights(file: Path, flat: dict[str, Array]) -> dict[str, np.ndarray]:
     """The arrays of a file of weights, f32, after a look at each; `flat` has the network's, by name."""
+    # A damaged archive makes zipfile, zlib and NumPy raise whatever they like.
     try:
         with np.load(file, allow_pickle=False) as stored:
             faults = _wrong_names(set(stored.files), flat)
@@ -295,9 +296,7 @@ def _stored_weights(file: Path, flat: dict[str, Array]) -> dict[str, np.ndarray]
                 name: read.get(str(value), value) if value.dtype.kind == "U" else value
                 for name, value in read.items()
             }
-    except (
-        Exception
-    ) as error:  # A damaged archive makes zipfile, zlib and NumPy raise whatever they like.
+    except Exception as error:
         raise PoolError(
             f"{file} cannot be read ({type(error).__name__}: {error})", hint=_FRESH
         ) from error

@@ -322,14 +322,13 @@ _NUMBERS = {
 
 def _read(file: Path) -> Examples:
     """The attempts in a file; PoolError where it is damaged."""
+    # A damaged archive makes zipfile, zlib and NumPy raise whatever they like.
     try:
         with np.load(file, allow_pickle=False) as stored:
             found = {each.name: stored[each.name] for each in dataclasses.fields(Examples)}
         check_numbers(found, _NUMBERS)
         return Examples(**found)
-    except (
-        Exception
-    ) as error:  # A damaged archive makes zipfile, zlib and NumPy raise whatever they like.
+    except Exception as error:
         raise PoolError(
             f"{file} cannot be read ({error})", hint="deleting it: it is made again"
         ) from error
