@@ -13,9 +13,8 @@ from typing import Any
 
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import Rectangle, recorded_rectangle
-from cluttergen_jax.config import REMOVED_METHODS
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement.methods.table import entry_of
+from cluttergen_jax.placement.methods.table import METHODS, TARGETS, entry_of
 from cluttergen_jax.placement.region import find_change
 from cluttergen_jax.spec import SceneSpec
 
@@ -52,7 +51,8 @@ class Trial:
         counted as the paper counts them. Verdicts are the same.
       paper_count: run it a second time with the paper's looser count (only the current object is judged, the
         others are put back by hand, no last check).
-      removed_method: of a row of an earlier version, a method that nothing makes any more; "" for none.
+      other_method: of a stored row, the name of a method that is not at hand, a user's own or one of an
+        earlier version; "" for none.
     """
 
     spec: SceneSpec = _PAPERS
@@ -62,7 +62,7 @@ class Trial:
     change: str = "none"
     whole_attempts: bool = False
     paper_count: bool = False
-    removed_method: str = ""
+    other_method: str = ""
 
     def __post_init__(self) -> None:
         if not 1 <= self.trials <= MAX_TRIALS:
@@ -105,10 +105,10 @@ class Trial:
 
     @property
     def method(self) -> str:
-        """A name of `config.METHODS`, or of a method that was removed."""
+        """Its name; of a user's own that is at hand, the `OwnMethod`, which is a name."""
         method = self.spec.method
         assert isinstance(method, str), "a trial is of a method"
-        return self.removed_method or method
+        return self.other_method or method
 
     @property
     def num_objects(self) -> int:
@@ -259,8 +259,10 @@ def _told(name: str, value: Any) -> str:
 def trial_of(row: Mapping[str, Any]) -> Trial:
     """The trial of a stored row; settings that an older version did not know are the usual ones."""
     asked = dict(row["trial"])
-    if asked.get("method") in REMOVED_METHODS:
-        asked["removed_method"] = asked.pop("method")
+    if asked.get("method", "random") not in METHODS:
+        asked["other_method"] = asked.pop("method")
+        # One that takes what was asked stands in its place.
+        asked["method"] = "spread" if any(asked.get(name) for name in TARGETS) else "random"
     region = asked.get("region")
     if isinstance(region, Mapping):
         asked["region"] = recorded_rectangle(region)

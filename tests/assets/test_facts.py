@@ -1,5 +1,7 @@
 """Objects chosen and weighed by what is told of them."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -97,5 +99,5 @@ def test_a_pool_without_facts_tells_those_of_its_objects(tmp_path):
     known = read_pool(path).facts
     record = pools.checked_record(index.read_bytes())
     del record["facts"]
-    index.write_text(pools.json.dumps(record))
+    index.write_text(json.dumps(record))
     assert read_pool(path).facts == known
