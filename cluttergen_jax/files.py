@@ -178,6 +178,11 @@ def read_regular(path: Path) -> bytes:
     return path.read_bytes()
 
 
+def read_inside(folder: Path, name: object) -> bytes:
+    """What a file in a folder holds, whose name is not trusted; errors: `inside`, `read_regular`."""
+    return read_regular(inside(folder, name))
+
+
 @contextmanager
 def file_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A path of the same name, to be written in the block; then it takes `path`'s place.

@@ -37,7 +37,6 @@ from cluttergen_jax.config import (
 from cluttergen_jax.errors import ConfigError, closest, range_text
 from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.placement.config import (
-    CLEARANCE,
     MAX_SLOTS,
     MIN_MARGIN,
     MOST_UNASKED,
@@ -51,6 +50,7 @@ from cluttergen_jax.placement.relations import conditions_of, parse_relations, p
 # What reads assets is imported where it is needed: this module is all that a command's `--help` loads.
 if TYPE_CHECKING:
     from cluttergen_jax.assets.outline import Ring
+    from cluttergen_jax.assets.pool import Pool
     from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.placement.problem import ProblemConfig
     from cluttergen_jax.placement.rules import Proposer, Rules
@@ -68,28 +68,25 @@ BALANCES = get_args(Balance)
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-class TrainOptions(TypedDict, total=False):
-    """Fields of a `SceneSpec` that `train` takes."""
+class SceneOptions(TypedDict, total=False):
+    """The fields of a `SceneSpec`, as keywords of the functions that take them."""
 
     pool: str | Path
-    exclude: Sequence[str]
-    support: str | Path
-    num_objects: int | None
-    max_attempts: int
-    engine: Engine
-
-
-class EnvOptions(TrainOptions, total=False):
-    """Fields of a `SceneSpec` that `make_env` takes."""
-
     objects: Sequence[str]
+    exclude: Sequence[str]
+    num_objects: int | None
     repeat: bool
+    shelf: int | None
+    weights: str | Mapping[str, float]
+    balance: Balance
+    support: str | Path
     surface: str
     region: Rectangle | str | None
     keep_out: Sequence[Rectangle | str]
     start: str | None
     containment: Containment
     order: Order | None
+    max_attempts: int
     ruin_after: int | None
     budget: int | None
     min_margin: float | None
@@ -98,17 +95,6 @@ class EnvOptions(TrainOptions, total=False):
     for_engine: OtherEngine | None
     setting: Setting
     overhang: Overhang
-    method: Method | OwnProposer | str | None
-    checkpoint: str | Path | None
-    num_threads: int
-
-
-class SceneOptions(EnvOptions, total=False):
-    """The fields of a `SceneSpec`, as keywords of `generate`, `make_sampler` and `placer_data`."""
-
-    shelf: int | None
-    weights: str | Mapping[str, float]
-    balance: Balance
     clutter: str | Mapping[str, float] | None
     natural: bool
     tidy: bool
@@ -117,39 +103,7 @@ class SceneOptions(EnvOptions, total=False):
     relations: Sequence[str]
     roles: str | Mapping[str, str]
     clearance: float | None
-
-
-class PlaceOptions(TypedDict, total=False):
-    """Fields of a `SceneSpec` that `place_by_hand` takes."""
-
-    pool: str | Path
-    objects: Sequence[str]
-    exclude: Sequence[str]
-    num_objects: int | None
-    repeat: bool
-    support: str | Path
-    region: Rectangle | str | None
-    keep_out: Sequence[Rectangle | str]
-    containment: Containment
-    min_margin: float | None
-    overhang: Overhang
-
-
-class EvaluateOptions(TypedDict, total=False):
-    """Fields of a `SceneSpec` that `evaluate` takes, for all rows."""
-
-    exclude: Sequence[str]
-    num_objects: int | None
-    repeat: bool
-    order: Order | None
-    max_attempts: int
-    ruin_after: int | None
-    budget: int | None
-    min_margin: float | None
-    setting: Setting
-    stability: str | Mapping[str, float | str] | StabilityConfig | None
-    height: Height
-    poses: Poses
+    method: Method | OwnProposer | str | None
     checkpoint: str | Path | None
     engine: Engine
     num_threads: int
@@ -349,43 +303,28 @@ class SceneSpec:
         from cluttergen_jax.assets.support import recorded_rectangle
 
         rules = recipe["placement"]
+        # Those that every recipe has; and of those that came later, what there was before.
+        asked: dict[str, Any] = {name: recipe[name] for name in _ALWAYS_ASKED}
+        asked |= {name: rules[name] for name in _ALWAYS_RULED}
+        asked |= {"ruin_after": 0, "min_margin": 0.0}
+        asked |= {name: recipe[name] for name in _LATER if name in recipe}
+        asked |= {name: rules[name] for name in RULES if name in rules}
         stability = recipe["stability"]
         is_native = recipe["engine"] == "native"
         return cls(
-            pool=recipe["pool"],
-            objects=recipe["objects"],
-            shelf=recipe.get("shelf"),
-            weights=dict(recipe.get("weights", ())),
-            balance=recipe.get("balance", cls.balance),
-            num_objects=rules["num_objects"],
-            repeat=recipe["repeat"],
-            support=recipe["support"],
-            surface=recipe.get("surface", cls.surface),
-            region=_recorded_region(recipe),
-            keep_out=tuple(recorded_rectangle(box) for box in recipe.get("keep_out", ())),
-            start=recipe.get("start"),
-            containment=rules["containment"],
-            order=rules["order"],
-            # Of scenes that people made nothing is counted.
-            max_attempts=rules.get("max_attempts", cls.max_attempts),
-            ruin_after=rules.get("ruin_after", 0),
-            budget=rules.get("budget"),
-            min_margin=rules.get("min_margin", 0.0),
-            robust=bool(stability.get("robust_tilt")),
-            stability=_recorded_stability(stability, rules),
-            setting="paper" if is_native and not stability.get("both_detectors") else "default",
-            overhang=rules.get("overhang", cls.overhang),
-            clutter=rules.get("clutter"),
-            natural=rules.get("natural", cls.natural),
-            tidy=rules.get("tidy", cls.tidy),
-            height=rules.get("height", cls.height),
-            poses=rules.get("poses", cls.poses),
-            relations=tuple(rules.get("relations", ())),
-            roles=dict(rules.get("roles", ())),
-            clearance=rules.get("clearance"),
-            method=recorded_method(recipe),
-            checkpoint=recipe.get("checkpoint"),
-            engine=recipe["engine"],
+            **asked
+            | {
+                "weights": dict(recipe.get("weights", ())),
+                "region": _recorded_region(recipe),
+                "keep_out": tuple(map(recorded_rectangle, recipe.get("keep_out", ()))),
+                "robust": bool(stability.get("robust_tilt")),
+                "stability": _recorded_stability(stability, rules),
+                "setting": "paper"
+                if is_native and not stability.get("both_detectors")
+                else "default",
+                "roles": dict(rules.get("roles", ())),
+                "method": recorded_method(recipe),
+            }
         )
 
     def overrides(self) -> SceneOptions:
@@ -499,23 +438,37 @@ class SceneSpec:
 
         return join_pool_names(self.pool, self.exclude)
 
+    def find_pool(self) -> Pool | None:
+        """The pool, read once for all; None where objects are named one by one, which alone are read.
+
+        Raises:
+          PoolError: there is none, or its files are damaged.
+        """
+        from cluttergen_jax.assets.facts import is_plain_name
+        from cluttergen_jax.assets.pool import find_pool
+
+        if self.objects and all(map(is_plain_name, self.objects)):
+            return None
+        return find_pool(self.pool_text)
+
     def boxes(self) -> list[Rectangle]:
         """The keep-out boxes."""
         from cluttergen_jax.assets.support import parse_boxes
 
         return parse_boxes(self.keep_out, "keep_out")
 
-    def problem_config(self, method: str | None) -> ProblemConfig:
+    def problem_config(self, method: str | None, found: Pool | None = None) -> ProblemConfig:
         """The request with everything decided that no asset decides.
 
         Args:
           method: see `with_rules`.
+          found: the pool, where it is at hand.
 
         Raises:
           ConfigError: more objects are asked for than there are, or there is no such engine.
           PoolError: there is no such pool or support.
         """
-        from cluttergen_jax.assets.facts import weights_of
+        from cluttergen_jax.assets.facts import chosen_names, is_plain_name, weights_of
         from cluttergen_jax.assets.pool import find_pool
         from cluttergen_jax.assets.support import parse_polygon, parse_region, parse_surfaces
         from cluttergen_jax.assets.support_file import find_support
@@ -523,8 +476,10 @@ class SceneSpec:
         from cluttergen_jax.placement.problem import ProblemConfig, check_number
 
         pool = self.pool_text
-        chosen = self._choose_objects(pool)
-        available = len(chosen) or len(find_pool(pool))
+        chosen = tuple(self.objects)
+        if not all(map(is_plain_name, chosen)):
+            chosen = chosen_names((found or find_pool(pool)).facts, chosen, pool)
+        available = len(chosen) or len(found or find_pool(pool))
         weights = self._weights()
         is_drawn = (
             self.shelf is not None
@@ -535,7 +490,7 @@ class SceneSpec:
         shelf = 0
         if is_drawn:
             if weights:
-                facts = find_pool(pool).facts
+                facts = (found or find_pool(pool)).facts
                 names = set(chosen) or {each.name for each in facts}
                 kept = [each for each in facts if each.name in names]
                 available = int((weights_of(kept, weights) > 0).sum())
@@ -565,6 +520,9 @@ class SceneSpec:
             if self.relations or self.roles:
                 given = "`relations` with a shelf of objects that each block draws"
                 raise ConfigError(given, "one or the other", "fewer `objects` and no `shelf`")
+            if self.start is not None:
+                given = "`start` with a shelf of objects that each block draws"
+                raise ConfigError(given, "no start", "fewer `objects`, without a shelf")
             if self.repeat:
                 given = "`repeat` with a shelf of objects that each block draws"
                 raise ConfigError(
@@ -626,37 +584,30 @@ class SceneSpec:
 
         return parse_weights(str(self.weights))
 
-    def _choose_objects(self, pool: str) -> tuple[str, ...]:
-        """The names of the objects that are chosen; none for all of the pool's."""
-        from cluttergen_jax.assets.facts import chosen_names, is_plain_name
-        from cluttergen_jax.assets.pool import find_pool
-
-        if all(map(is_plain_name, self.objects)):
-            return tuple(self.objects)
-        return chosen_names(find_pool(pool).facts, self.objects, pool)
-
     def _placement(self, num_objects: int) -> PlacementConfig:
         """The rules of an episode; those that are not decided yet are the paper's."""
+        asked = {name: getattr(self, name) for name in RULES}
+        decided = {name: value for name, value in asked.items() if value is not None}
         return PlacementConfig(
-            num_objects=num_objects,
-            max_attempts=self.max_attempts,
-            containment=self.containment,
-            order="random" if self.order is None else self.order,
-            min_margin=0.0 if self.min_margin is None else self.min_margin,
-            ruin_after=self.ruin_after or 0,
-            budget=self.budget,
-            overhang=self.overhang,
-            clutter=None if self.clutter is None else Clutter.of(self.clutter),
-            natural=self.natural,
-            tidy=self.tidy,
-            height=self.height,
-            poses=self.poses,
-            relations=tuple(self.relations),
-            roles=parse_roles(self.roles),
-            clearance=CLEARANCE if self.clearance is None else self.clearance,
-            # With a hundred objects one in four scenes would be lost to a single one that creeps.
-            retry_last=bool(self.ruin_after) and num_objects > CROWD,
+            **decided
+            | {
+                "num_objects": num_objects,
+                "roles": parse_roles(self.roles),
+                # With a hundred objects one in four scenes would be lost to a single one that creeps.
+                "retry_last": bool(self.ruin_after) and num_objects > CROWD,
+            }
         )
+
+
+RULES = tuple(
+    each.name
+    for each in dataclasses.fields(PlacementConfig)
+    if each.name in SceneSpec.__dataclass_fields__
+)
+"""Fields of a request that `PlacementConfig` has as well, decided."""
+_ALWAYS_ASKED = ("pool", "objects", "repeat", "support", "engine")
+_ALWAYS_RULED = ("num_objects", "containment", "order")
+_LATER = ("shelf", "balance", "surface", "start", "checkpoint")
 
 
 def recorded_method(recipe: Mapping[str, Any]) -> str | None:
@@ -691,13 +642,14 @@ def _recorded_region(recipe: Mapping[str, Any]) -> Rectangle | str:
     return recorded_rectangle(recipe["region"])
 
 
-def takes_spec(options: type, **defaults: Any) -> Callable[[F], F]:
+def takes_spec(refused: Mapping[str, str] | None = None, **defaults: Any) -> Callable[[F], F]:
     """A decorator for a function of `spec` and `**options`: its signature lists the fields, with defaults.
 
     Args:
-      options: the `TypedDict` of the fields that it takes.
+      refused: fields that it does not take, and why not.
       defaults: of those whose default is another than `SceneSpec`'s.
     """
+    reasons = dict(refused or {})
 
     def decorate(function: F) -> F:
         own = [
@@ -706,13 +658,13 @@ def takes_spec(options: type, **defaults: Any) -> Callable[[F], F]:
             if each.kind is not inspect.Parameter.VAR_KEYWORD
         ]
         usual = {each.name: each.default for each in dataclasses.fields(SceneSpec)} | defaults
-        names = [name for name in usual if name in options.__annotations__]
+        names = [name for name in usual if name not in reasons]
         shown = [
             inspect.Parameter(
                 name,
                 inspect.Parameter.KEYWORD_ONLY,
                 default=usual[name],
-                annotation=options.__annotations__[name].__forward_arg__,
+                annotation=SceneOptions.__annotations__[name].__forward_arg__,
             )
             for name in names
         ]
@@ -721,6 +673,7 @@ def takes_spec(options: type, **defaults: Any) -> Callable[[F], F]:
         first = [each for each in own if each not in own_keywords]
         function.__signature__ = inspect.Signature([*first, *shown, *own_keywords])  # type: ignore[attr-defined]
         function.spec_fields = tuple(names)  # type: ignore[attr-defined]
+        function.spec_refused = reasons  # type: ignore[attr-defined]
         function.spec_defaults = defaults  # type: ignore[attr-defined]
         return function
 
@@ -740,11 +693,16 @@ def spec_of(
       also: fields that it takes in a spec alone.
 
     Raises:
-      ConfigError: there is no such field, the function does not take it, or a value is refused.
+      ConfigError: there is no such field, the function does not take it (and why), or a value is refused.
     """
     taken: tuple[str, ...] = function.spec_fields  # type: ignore[attr-defined]
+    refused: Mapping[str, str] = function.spec_refused  # type: ignore[attr-defined]
     usual = SceneSpec(**function.spec_defaults)  # type: ignore[attr-defined]
     for name in options:
+        if name in refused:
+            value = options[name]
+            given = f"{function.__name__}({name}={value!r}), {refused[name]}"
+            raise ConfigError(given, ", ".join(taken), f"leaving {name} out")
         if name not in taken:
             names = [each for each in inspect.signature(function).parameters if each != "spec"]
             given = f"{function.__name__}({name}=...)"
@@ -764,6 +722,6 @@ def spec_of(
         )
     for name, value in spec.overrides().items():
         if name not in (*taken, *also):
-            given = f"{name} = {value!r} in the spec for {function.__name__}"
+            given = f"{name} = {value!r} in the spec for {function.__name__}, {refused[name]}"
             raise ConfigError(given, ", ".join(taken), f"leaving {name} out")
     return replace(spec, **options)

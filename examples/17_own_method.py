@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import cluttergen_jax as cg
 from cluttergen_jax.placement.region import action_of_pose
 
-num_scenes, num_objects = 8, 10
+num_scenes = 8
+num_objects = 10
 
 
 def ring(rules):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -116,7 +116,7 @@ def with_earlier_rows(result: Result, earlier: Result) -> Result:
     asked = {trial.method for trial in STUDIES[result["name"]].trials(scale)}
     before = [row for row in before if row["trial"]["method"] in asked]
     # An earlier version may have named fewer of a trial's settings: it knew of no others than the defaults.
-    usual = asdict(Trial())
+    usual = Trial().fields()
     rows = {json.dumps({**usual, **row["trial"]}, sort_keys=True): row for row in (*before, *made)}
     if len(rows) == len(made):
         return result

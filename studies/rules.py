@@ -18,24 +18,24 @@ from cluttergen_jax.evaluation.trial import (
     RUIN,
     TIDY,
     Trial,
-    with_rules_of,
 )
 from cluttergen_jax.placement.config import RUIN_AFTER
-from cluttergen_jax.spec import SceneSpec
 
 
 def own_rules(trial: Trial) -> Trial:
-    """The trial by the rules that its method has by default, its budget kept."""
-    return with_rules_of(trial, SceneSpec(max_attempts=trial.attempts, budget=trial.budget))
+    """The trial by the rules that its method has by default, all else kept."""
+    spec = replace(trial.spec, setting="default", order=None, ruin_after=None, min_margin=None)
+    own = replace(spec.with_rules(trial.method), setting=trial.spec.setting)
+    return replace(trial, spec=own)
 
 
 _CHANGES = {
-    RUIN: lambda trial: replace(
-        trial, order="weighted", ruin_after=min(RUIN_AFTER, trial.attempts)
+    RUIN: lambda trial: trial.replace(
+        order="weighted", ruin_after=min(RUIN_AFTER, trial.spec.max_attempts)
     ),
-    RANDOM_ORDER: lambda trial: replace(trial, order="random", ruin_after=0),
-    TIDY: lambda trial: replace(trial, tidy=True),
-    ROBUST: lambda trial: replace(trial, robust=True),
+    RANDOM_ORDER: lambda trial: trial.replace(order="random", ruin_after=0),
+    TIDY: lambda trial: trial.replace(tidy=True),
+    ROBUST: lambda trial: trial.replace(robust=True),
 }
 """Rules after a method's name: objects mostly by size and some taken away again where it is stuck; in random
 order and none taken away; the best pose of those that are trusted, not any; robust scenes."""
@@ -54,7 +54,7 @@ def named_rows(bases: Iterable[Trial], *names: str) -> tuple[Trial, ...]:
 
     def row(base: Trial, name: str) -> Trial:
         method, *rules = name.split(", ")
-        trial = own_rules(replace(base, method=method))
+        trial = own_rules(base.replace(method=method))
         for each in rules:
             if each not in _CHANGES:
                 raise ConfigError(

@@ -206,6 +206,6 @@ def _findings_key(runner: Runner, study: Study, trials: Sequence[Trial]) -> str:
         try:
             parts.append(runner.resolve(trial).key)
         except MissingCheckpointError as error:
-            parts.append([asdict(trial), str(error)])
+            parts.append([trial.fields(), str(error)])
         parts.append(study.depends_on(runner, trial))
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:20]

@@ -59,7 +59,7 @@ class Scale:
 
     def trial(self, full: int, quick: int, **fields: Any) -> Trial:
         """A row of so many trials in the whole study and in a quick one."""
-        return Trial(trials=self.number(full, quick), seed=self.seed, **fields)
+        return Trial.of(trials=self.number(full, quick), seed=self.seed, **fields)
 
     def trial_by_both_counts(self, full: int, quick: int, **fields: Any) -> Trial:
         """A row by both counts, whose attempts run to step 240 as the paper's do."""
@@ -244,7 +244,7 @@ def measure_each(
 def row_of(trial: Trial, /, *found: Mapping[str, Any], **more: Any) -> Row:
     """A row of findings: what the trial asks, and what was found."""
     row: Any = {"pool": trial.pool_name, "support": trial.support_name, "method": trial.row_name}
-    row |= {"min_margin": trial.min_margin} if trial.min_margin else {}
+    row |= {"min_margin": trial.spec.min_margin} if trial.spec.min_margin else {}
     for each in found:
         row |= each
     return row | more

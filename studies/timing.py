@@ -28,11 +28,11 @@ def main(text: str) -> dict[str, Any]:
     from cluttergen_jax.evaluation.resolved import Checkpoints
     from cluttergen_jax.evaluation.runner import Runner
     from cluttergen_jax.evaluation.store import Store
-    from cluttergen_jax.evaluation.trial import Trial
+    from cluttergen_jax.evaluation.trial import trial_of
 
     checkpoint = order["checkpoint"] and Path(order["checkpoint"])
     runner = Runner(Store(None), Checkpoints(path=checkpoint), order["engine"], order["cores"])
-    outcome = runner.run(runner.resolve(Trial(**order["trial"])))
+    outcome = runner.run(runner.resolve(trial_of(order)))
     valid = int(outcome.scenes.is_success.sum())
     whole = time.perf_counter() - started
     return {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
@@ -19,7 +18,7 @@ _MOST = 2**32 - 1
 
 
 @with_kept_programs
-@takes_spec(SceneOptions)
+@takes_spec()
 def generate(
     out: str | Path = "out",
     spec: SceneSpec | str | Path | None = None,
@@ -69,9 +68,8 @@ def generate(
       MissingExtraError: a cluster without the extra `ray`.
     """
     from cluttergen_jax.cluster import cluster_of
-    from cluttergen_jax.generation.generate import recipe_of, write_bank
+    from cluttergen_jax.generation.generate import write_bank
     from cluttergen_jax.generation.layouts import read_layout
-    from cluttergen_jax.generation.sampler import set_up_bank
 
     if layout is not None:
         if spec is not None:
@@ -82,27 +80,14 @@ def generate(
     check_range("seed", seed, 0, _MOST, 0)
     if max_files < 0:
         raise ConfigError(f"max_files = {max_files}", "0 or more", "max_files=0 for none")
-    place = cluster_of(cluster, workers)
-    method, setup, shelves = set_up_bank(asked, seed)
-    drawn_from = None if shelves is None else shelves.pool.names
-    recipe = recipe_of(setup.problem, method, drawn_from) | {
-        "start": asked.start,
-        "keep_out": [
-            box if isinstance(box, str) else dataclasses.asdict(box) for box in asked.keep_out
-        ],
-        "checkpoint": None if asked.checkpoint is None else str(asked.checkpoint),
-        "seed": seed,
-    }
     return write_bank(
         out,
-        setup,
-        method,
-        recipe,
+        asked,
+        seed,
         num_scenes,
         render,
         max_files,
         overwrite,
-        place,
+        cluster_of(cluster, workers),
         allow_other_bits,
-        shelves,
     )

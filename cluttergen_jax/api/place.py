@@ -9,16 +9,34 @@ from typing import TYPE_CHECKING, Unpack
 
 from cluttergen_jax.config import check_range
 from cluttergen_jax.numerics import with_kept_programs
-from cluttergen_jax.spec import PlaceOptions, spec_of, takes_spec
+from cluttergen_jax.placement.methods.table import TARGETS
+from cluttergen_jax.spec import SceneOptions, spec_of, takes_spec
 
 if TYPE_CHECKING:
     from cluttergen_jax.generation.generate import GeneratedBank
 
 _MOST = 2**32 - 1
+_PERSON = "where a person places"
+_NOT_TAKEN = {
+    **dict.fromkeys(("method", "checkpoint", "height", "poses", *TARGETS, "clearance"), _PERSON),
+    **dict.fromkeys(
+        ("order", "max_attempts", "ruin_after", "budget"), f"{_PERSON}, as often as wanted"
+    ),
+    **dict.fromkeys(
+        ("shelf", "weights", "balance", "surface", "start"), "where one world is opened"
+    ),
+    **dict.fromkeys(
+        ("robust", "for_engine", "setting", "stability"), "where the usual check is made"
+    ),
+    **dict.fromkeys(
+        ("engine", "num_threads"), "where the native engine judges one attempt at a time"
+    ),
+}
+"""Fields of a `SceneSpec` that placing by hand does not take, and why."""
 
 
 @with_kept_programs
-@takes_spec(PlaceOptions)
+@takes_spec(_NOT_TAKEN)
 def place_by_hand(
     out: str | Path = "out/hand",
     *,
@@ -28,7 +46,7 @@ def place_by_hand(
     port: int = 8080,
     browser: bool = True,
     show: Callable[[str], None] = print,
-    **options: Unpack[PlaceOptions],
+    **options: Unpack[SceneOptions],
 ) -> GeneratedBank:
     """Has a person place objects in a browser until Ctrl-C, and keeps the scenes (`cluttergen view --place`).
 

@@ -20,15 +20,30 @@ from cluttergen_jax.config import (
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.training.suite import POOLS, SEEDS
 from cluttergen_jax.numerics import with_kept_programs
-from cluttergen_jax.spec import SceneSpec, TrainOptions, spec_of, takes_spec
+from cluttergen_jax.placement.methods.table import TARGETS
+from cluttergen_jax.spec import SceneOptions, SceneSpec, spec_of, takes_spec
 
 if TYPE_CHECKING:
     from cluttergen_jax.learning.training.suite_run import SuiteReport
     from cluttergen_jax.learning.training.train import TrainConfig
 
+_WORLD = "where a policy learns in one world, of a whole pool on a support's own region"
+_RULES = "where the preset has the rules that a policy is trained by"
+_NOT_TAKEN = {
+    **dict.fromkeys(("objects", "repeat", "shelf", "weights", "balance"), _WORLD),
+    **dict.fromkeys(("surface", "region", "keep_out", "start"), _WORLD),
+    **dict.fromkeys(("containment", "order", "ruin_after", "budget", "min_margin"), _RULES),
+    **dict.fromkeys(("robust", "for_engine", "setting", "stability", "overhang"), _RULES),
+    **dict.fromkeys(("height", *TARGETS, "clearance"), "of methods that are not trained"),
+    "poses": "of which a policy, which sees clouds of upright objects, would know nothing",
+    **dict.fromkeys(("method", "checkpoint"), "where `variant` says what is trained"),
+    "num_threads": "where every core is taken",
+}
+"""Fields of a `SceneSpec` that training does not take, and why."""
+
 
 @with_kept_programs
-@takes_spec(TrainOptions, num_objects=10)
+@takes_spec(_NOT_TAKEN, num_objects=10)
 def train(
     spec: SceneSpec | str | Path | None = None,
     *,
@@ -53,7 +68,7 @@ def train(
     num_processes: int | None = None,
     process_id: int | None = None,
     show: Callable[[str], None] = print,
-    **options: Unpack[TrainOptions],
+    **options: Unpack[SceneOptions],
 ) -> Path:
     """Trains a placement policy with PPO (`cluttergen train`). The same call takes up an interrupted run.
 

@@ -34,7 +34,7 @@ from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, Resti
 from cluttergen_jax.assets.shape import Piece, Provenance
 from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.errors import AssetError, PoolError
-from cluttergen_jax.files import inside, read_regular, write_atomically
+from cluttergen_jax.files import inside, read_inside, read_regular, write_atomically
 from cluttergen_jax.schema import (
     Numbers,
     SchemaError,
@@ -155,10 +155,13 @@ def read_object(folder: Path, images: Path | None = None) -> ObjectAsset:
         ) from error
     blobs: dict[str, bytes] = {}
     for name, digest in stored.files.items():
-        path = inside(images if images is not None and name.endswith(".png") else folder, name)
-        blobs[name] = read_bytes(path)
-        if _digest(blobs[name]) != digest:
-            raise PoolError(f"{path} does not match its digest in {_RECORD}", hint=_REWRITE)
+        where = images if images is not None and name.endswith(".png") else folder
+        try:
+            blobs[name] = read_inside(where, name)
+        except OSError as error:
+            raise _unreadable(where / name, error) from error
+        if hashlib.sha256(blobs[name]).hexdigest() != digest:
+            raise PoolError(f"{where / name} does not match its digest in {_RECORD}", hint=_REWRITE)
     try:
         return _asset(stored, blobs)
     except (KeyError, TypeError, ValueError, IndexError) as error:
@@ -265,7 +268,7 @@ def _asset(stored: _Stored, blobs: dict[str, bytes]) -> ObjectAsset:
         name=stored.name,
         label=stored.label,
         pieces=tuple(pieces),
-        parts=tuple(Mesh.points(np.array(part, np.float64)) for part in stored.parts),
+        parts=Mesh.convex_parts(stored.parts),
         mass=stored.mass,
         center_of_mass=np.array(stored.center_of_mass, np.float64),
         inertia=np.array(stored.inertia, np.float64).reshape(3, 3),
@@ -287,7 +290,11 @@ def read_bytes(path: Path, hint: str = _REWRITE) -> bytes:
     try:
         return read_regular(path)
     except OSError as error:
-        raise PoolError(f"{path} cannot be read ({error.strerror})", hint=hint) from error
+        raise _unreadable(path, error, hint) from error
+
+
+def _unreadable(path: Path, error: OSError, hint: str = _REWRITE) -> PoolError:
+    return PoolError(f"{path} cannot be read ({error.strerror})", hint=hint)
 
 
 def _read_record(path: Path) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
@@ -16,7 +17,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
 from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.numerics import with_kept_programs
-from cluttergen_jax.spec import EvaluateOptions, SceneSpec, spec_of, takes_spec
+from cluttergen_jax.spec import SceneOptions, SceneSpec, spec_of, takes_spec
 
 if TYPE_CHECKING:
     from cluttergen_jax.evaluation.comparison import Comparison
@@ -24,10 +25,15 @@ if TYPE_CHECKING:
 
 _TRIALS = 1000
 _SUPPORTS = ("table",)
+_ROWS = {
+    name: f"each row has its own: {name}s=(...), or a `spec` for all rows"
+    for name in ("pool", "support", "method")
+}
+"""Fields of a `SceneSpec` that are no keywords of `evaluate`, and why."""
 
 
 @with_kept_programs
-@takes_spec(EvaluateOptions, num_objects=10)
+@takes_spec(_ROWS, num_objects=10)
 def evaluate(
     methods: Sequence[Method | OwnProposer | str] = (),
     pools: Sequence[str] = (),
@@ -42,7 +48,7 @@ def evaluate(
     out: str | Path | None = None,
     cluster: str | None = None,
     workers: int = 0,
-    **options: Unpack[EvaluateOptions],
+    **options: Unpack[SceneOptions],
 ) -> Comparison:
     """Compares methods: success rates with 95 % intervals, objects placed, effort and speed.
 
@@ -52,7 +58,8 @@ def evaluate(
     Args:
       methods: "random", "clear", "drop", "spread", "guided", and policies trained for the pool: "policy",
         "beta_free", "normal", "open_loop" or "short_memory"; or your own, as the `method` of a `SceneSpec`.
-        If not given: the first five, and "policy" where one is embedded.
+        If not given: the first five, and "policy" where one is embedded, of these all that can make what is
+        asked for.
       pools: names or folders, or several joined by +; dining if not given.
       supports: names or folders; "table-0.40x0.50" is a cuboid of that size, all of it the queried region.
       spec: what is asked for; its pool, support and method are rows where `pools`, `supports` and `methods`
@@ -84,12 +91,10 @@ def evaluate(
       ClutterGenError: no row can be made.
       BankError: another process writes to `out`.
     """
-    from cluttergen_jax.assets.pool import join_pool_names
     from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.evaluation.comparison import compare, open_runner
-    from cluttergen_jax.evaluation.trial import Trial, grid, with_rules_of
-    from cluttergen_jax.learning.methods import methods_of
-    from cluttergen_jax.placement.methods.table import entry_of, find_method, takers
+    from cluttergen_jax.evaluation.trial import Trial
+    from cluttergen_jax.placement.methods.table import entry_of, find_method
 
     place = cluster_of(cluster, workers)
     check_folder(out)
@@ -112,33 +117,13 @@ def evaluate(
             "methods that place one object after another",
             f"generate(method={whole[0]!r}), which tells how many scenes succeed",
         )
-    base = Trial(
-        num_objects=10 if asked.num_objects is None else asked.num_objects,
-        attempts=asked.max_attempts,
-        trials=_TRIALS if trials is None else trials,
-        seed=seed,
-        repeat=asked.repeat,
-        change=change,
-        both_detectors=asked.setting != "paper",
-    )
+    if asked.num_objects is None:
+        asked = replace(asked, num_objects=10)
+    number = _TRIALS if trials is None else trials
     planned = [
-        with_rules_of(trial, asked)
-        for pool in pools or (asked.pool,)
-        for trial in grid(
-            base,
-            pool=(join_pool_names(pool, asked.exclude),),
-            support=supports,
-            method=chosen or methods_of(str(pool)),
-        )
+        Trial(spec, trials=number, seed=seed, change=change)
+        for spec in _specs_of_rows(asked, chosen, pools, supports)
     ]
-    free = takers("height")
-    if asked.height != "rest" and all(trial.height == "rest" for trial in planned):
-        raise ConfigError(
-            f"height = {asked.height!r} without a row of {free[0]!r}",
-            hint=f"methods={free}",
-        )
-    for trial in planned:
-        asked.check_poses(trial.method)
     folder = None if out is None else Path(out)
     with hold_folder(folder):
         runner = open_runner(
@@ -147,3 +132,40 @@ def evaluate(
         if place is not None:
             runner.make_on(place, planned)
         return compare(runner, planned, folder)
+
+
+def _specs_of_rows(
+    asked: SceneSpec, methods: Sequence[str], pools: Sequence[str], supports: Sequence[str]
+) -> list[SceneSpec]:
+    """What each row asks for: every pool on every support by every method.
+
+    Raises:
+      ConfigError: a method cannot make what is asked for; or, where none is named, no method can.
+    """
+    from cluttergen_jax.learning.methods import methods_of
+    from cluttergen_jax.placement.methods.table import entry_of, takers
+
+    specs: list[SceneSpec] = []
+    refused: list[ConfigError] = []
+    for pool in pools or (str(asked.pool),):
+        for support in supports:
+            for method in methods or methods_of(pool):
+                # Of the others a height is not asked.
+                height = asked.height if "height" in entry_of(method).takes else "rest"
+                spec = replace(asked, pool=pool, support=support, method=method, height=height)
+                try:
+                    spec.check_method(method)
+                except ConfigError as error:
+                    if methods:
+                        raise
+                    refused.append(error)
+                else:
+                    specs.append(spec)
+    if not specs:
+        raise refused[0]
+    if asked.height != "rest" and all(spec.height == "rest" for spec in specs):
+        free = takers("height")
+        raise ConfigError(
+            f"height = {asked.height!r} without a row of {free[0]!r}", hint=f"methods={free}"
+        )
+    return specs

@@ -27,7 +27,7 @@ from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.resolved import Checkpoints
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import Store, json_bytes
-from cluttergen_jax.evaluation.trial import Trial
+from cluttergen_jax.evaluation.trial import Trial, trial_of
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.tables import Table
 
@@ -52,7 +52,8 @@ class Comparison:
 
     Attributes:
       rows: one flat dict each: `pool`, `support`, `objects`, `method`, `row` (the method, and what sets its
-        rules apart from its own), `trials`, figures such as `success`, `low95` and `placed`, and `missing`,
+        rules apart from its own), `trials`, `asked` (what else says what is placed where, if anything does),
+        figures such as `success`, `low95` and `placed`, and `missing`,
         which says why there are none.
       table: the same for people, with what is missing below it; speeds leave compilation out.
     """
@@ -119,6 +120,7 @@ def _flat(row: Row) -> dict[str, Any]:
     """A row with its figures beside what its trial asks."""
     trial = row["trial"]
     figures = row.get("figures", {})
+    asked = trial_of(row).asked
     head = {
         "pool": trial["pool"],
         "support": trial["support"],
@@ -126,6 +128,7 @@ def _flat(row: Row) -> dict[str, Any]:
         "method": trial["method"],
         "row": name_of(row),
         "trials": trial["trials"],
+        **({"asked": "; ".join(asked)} if asked else {}),
     }
     return head | {name: figures.get(name) for name in _FIGURES} | {"missing": row.get("missing")}
 
@@ -139,7 +142,8 @@ def _table(rows: list[Row]) -> Table:
         Column("attempts per valid scene", _effort),
         SPEED,
     )
-    return table_of(f"{rows[0]['trial']['trials']} trials a row", columns, rows)
+    first = trial_of(rows[0])
+    return table_of("; ".join([f"{first.trials} trials a row", *first.asked]), columns, rows)
 
 
 def _draw(rows: Sequence[dict[str, Any]], stem: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import numpy as np
@@ -12,7 +13,7 @@ from flax import struct
 
 from cluttergen_jax.evaluation.records import Figures, Share, Spread
 from cluttergen_jax.numerics import new_key
-from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, Rollout
+from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, Rollout, blocks_of
 from cluttergen_jax.placement.scenes import SceneBatch
 from cluttergen_jax.placement.types import Episode, Transition
 from cluttergen_jax.statistics import proportion, spread_of, wilson
@@ -86,11 +87,7 @@ def run_episodes(
     cpu = time.process_time()
     made: list[Attempts] = []
 
-    def note(indices: np.ndarray, number: int, attempts: Attempts) -> None:
-        attempts = attempts.replace(scene=indices.astype(np.int32))
-        made.append(jax.tree.map(lambda leaf: leaf[attempts.is_made], attempts))
-        on_done(number)
-
+    note = partial(_note, made, on_done)
     scenes = rollout.run_all(sampler, key, num_scenes, width, note)
     return Outcome(
         scenes=scenes,
@@ -99,6 +96,65 @@ def run_episodes(
         cpu_seconds=time.process_time() - cpu,
         compile_seconds=compiled - started,
     )
+
+
+def run_shelves(
+    rollout: Rollout,
+    sampler_of: Callable[[int], tuple[BlockSampler, np.ndarray]],
+    num_scenes: int,
+    seed: int,
+    on_done: Callable[[int], None] = lambda number: None,
+) -> Outcome:
+    """`run_episodes` in worlds of which each block has its own.
+
+    Args:
+      sampler_of: gives a block's sampler, and i32[K], the numbers of its objects in the pool: `object_index`
+        of what is returned is about the pool.
+    """
+    outcomes = []
+    for block, rows in blocks_of(num_scenes):
+        sampler, numbers = sampler_of(block)
+        place = np.arange(BLOCK_SIZE)
+        indices = block * BLOCK_SIZE + place
+        started = time.perf_counter()
+        key = new_key(seed)
+        rollout.compile(sampler, key, indices, is_refilled=False)
+        compiled = time.perf_counter()
+        cpu = time.process_time()
+        made: list[Attempts] = []
+        # A block is run to its end before the next one's world is made.
+        note = partial(_note, made, on_done, indices)
+        scenes = rollout.run(sampler, key, indices, place < rows, note)
+        scenes = jax.tree.map(lambda leaf, rows=rows: leaf[:rows], scenes)
+        attempts = jax.tree.map(lambda *leaves: np.concatenate(leaves), *made)
+        index = np.asarray(scenes.object_index)
+        scenes = scenes.replace(object_index=np.where(index < 0, -1, numbers[index]))
+        attempts = attempts.replace(object_index=numbers[attempts.object_index])
+        seconds = time.perf_counter() - compiled
+        outcomes.append(
+            Outcome(scenes, attempts, seconds, time.process_time() - cpu, compiled - started)
+        )
+    join = partial(jax.tree.map, lambda *leaves: np.concatenate(leaves))
+    return Outcome(
+        scenes=join(*(each.scenes for each in outcomes)),
+        attempts=join(*(each.attempts for each in outcomes)),
+        seconds=sum(each.seconds for each in outcomes),
+        cpu_seconds=sum(each.cpu_seconds for each in outcomes),
+        compile_seconds=sum(each.compile_seconds for each in outcomes),
+    )
+
+
+def _note(
+    made: list[Attempts],
+    on_done: Callable[[int], None],
+    indices: np.ndarray,
+    number: int,
+    attempts: Attempts,
+) -> None:
+    """Keeps the attempts of a step, with the scenes in whose episodes they were made."""
+    attempts = attempts.replace(scene=indices.astype(np.int32))
+    made.append(jax.tree.map(lambda leaf: leaf[attempts.is_made], attempts))
+    on_done(number)
 
 
 def attempts_of(before: Episode, after: Episode, transition: Transition) -> Attempts:

@@ -6,11 +6,14 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.pool import Pool, find_pool
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.assets.support_file import find_support
@@ -35,6 +38,9 @@ from cluttergen_jax.learning.training.suite import (
 from cluttergen_jax.learning.training.variants import HELD_OUT_FAMILIES, TRAINING_FAMILIES, variants
 from cluttergen_jax.placement.methods.own import OwnMethod
 from cluttergen_jax.placement.methods.table import LEARNED, METHODS, entry_of
+from cluttergen_jax.placement.problem import ProblemConfig, Standing
+from cluttergen_jax.scene.bank.reference import read_start
+from cluttergen_jax.spec import CROWD, MOST_ON_SHELF
 
 VARIANT_POOLS = {"held_out_families": HELD_OUT_FAMILIES, "training_families": TRAINING_FAMILIES}
 """Names of pools of the modeller's variants, which no folder holds, and the families of their objects."""
@@ -210,7 +216,9 @@ def _names(trial: Trial) -> list[str]:
             *([trial.method] * (not trial.training_seed)),
         ]
     pool = trial.pool_name
-    attempts = "" if trial.attempts == DEFAULT_ATTEMPTS else f"-attempts{trial.attempts}"
+    attempts = (
+        "" if trial.spec.max_attempts == DEFAULT_ATTEMPTS else f"-attempts{trial.spec.max_attempts}"
+    )
     stems = [f"{pool}-{trial.method}{extra}" for extra in dict.fromkeys((attempts, ""))]
     endings = (f"-{trial.training_seed}", *([""] if trial.training_seed == 0 else []))
     return [f"{stem}{ending}" for stem in stems for ending in endings]
@@ -230,8 +238,8 @@ def train_command(trial: Trial) -> str:
     if trial.num_objects < DEFAULT_OBJECTS:
         # Who was trained with more objects fills smaller scenes too; but a pool may have no more.
         words.append(f"--num-objects {trial.num_objects}")
-    if trial.attempts != DEFAULT_ATTEMPTS:
-        words.append(f"--attempts {trial.attempts} --out runs/{_names(trial)[0]}")
+    if trial.spec.max_attempts != DEFAULT_ATTEMPTS:
+        words.append(f"--attempts {trial.spec.max_attempts} --out runs/{_names(trial)[0]}")
     return " ".join(words)
 
 
@@ -241,6 +249,7 @@ class ResolvedTrial:
 
     Attributes:
       checkpoint: its policy; None for a baseline.
+      standing: what stands there when an episode begins; None for nothing.
       sources: hashes of what the trial names, and versions: all that decides its row beside the trial.
       key: of its row (`trial.key_of`).
     """
@@ -251,15 +260,23 @@ class ResolvedTrial:
     checkpoint: Checkpoint | None
     sources: dict[str, Any]
     key: str
+    standing: Standing | None = None
 
     @cached_property
+    def config(self) -> ProblemConfig:
+        """Its problem, for any engine.
+
+        Raises:
+          ConfigError: what it asks for does not fit its pool or support.
+        """
+        trial = self.trial
+        config = trial.spec.problem_config(trial.method, self.pool)
+        return replace(config, change=trial.change)
+
+    @property
     def region(self) -> Rectangle:
         """The queried region before any change."""
-        own = self.support.region
-        sides = self.trial.region
-        return (
-            own if sides is None else Rectangle(own.center, (sides[0] / 2, sides[1] / 2), own.yaw)
-        )
+        return self.config.region or self.support.region
 
     @property
     def is_cut(self) -> bool:
@@ -324,7 +341,8 @@ class Resolver:
         pool = self._pool(trial.pool)
         support = self._support(trial.support)
         checkpoint = self.checkpoints.find(trial)
-        sources = {
+        standing = read_start(trial.spec.start)
+        sources: dict[str, Any] = {
             "pool": pool.hash,
             "support": _support_hash(support),
             "checkpoint": checkpoint and checkpoint.hash,
@@ -333,9 +351,39 @@ class Resolver:
         }
         if isinstance(trial.method, OwnMethod):
             sources["method"] = trial.method.digest
-        if trial.robust:
+        if trial.spec.robust:
             sources["robust"] = stability_record(StabilityConfig(robust_tilt=ROBUST_TILT))
-        return ResolvedTrial(trial, pool, support, checkpoint, sources, key_of(trial, sources))
+        if _differs_from_earlier(trial, len(pool)):
+            sources["as_generated"] = True
+        if standing is not None:
+            sources["start"] = _standing_hash(standing)
+        return ResolvedTrial(
+            trial,
+            pool,
+            support.on_surface(trial.spec.surface),
+            checkpoint,
+            sources,
+            key_of(trial, sources),
+            standing,
+        )
+
+
+def _differs_from_earlier(trial: Trial, num_objects: int) -> bool:
+    """Whether earlier versions, which had rules of their own for rows, made other scenes than `generate`."""
+    spec = trial.spec
+    is_crowd = trial.num_objects > CROWD and bool(spec.ruin_after)
+    is_drawn = num_objects > MOST_ON_SHELF
+    is_turned = spec.poses == "any" or (spec.poses == "resting" and spec.setting != "paper")
+    return is_crowd or is_drawn or is_turned or entry_of(trial.method).limits_stack
+
+
+def _standing_hash(standing: Standing) -> str:
+    """Of objects and where they stand."""
+    objects, poses = standing
+    digest = hashlib.sha256(np.ascontiguousarray(poses).tobytes())
+    for asset in objects:
+        digest.update(object_hash(asset).encode())
+    return digest.hexdigest()
 
 
 def _support_hash(support: SupportAsset) -> str:

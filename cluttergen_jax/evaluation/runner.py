@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from cluttergen_jax.assets.support_map import check_region
 from cluttergen_jax.cluster import Cluster, each_on
-from cluttergen_jax.config import ROBUST_TILT, StabilityConfig, stability_of
+from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.errors import ClutterGenError, ConfigError
 from cluttergen_jax.evaluation.episodes import (
     Outcome,
@@ -19,6 +20,7 @@ from cluttergen_jax.evaluation.episodes import (
     attempts_of,
     figures_of,
     run_episodes,
+    run_shelves,
 )
 from cluttergen_jax.evaluation.machine import origin
 from cluttergen_jax.evaluation.records import Row
@@ -37,8 +39,16 @@ from cluttergen_jax.physics import engine_of, make_physics
 from cluttergen_jax.physics.host import NumberedEngines, Physics
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.placement.boxes import footprint_area
-from cluttergen_jax.placement.problem import Problem, ProblemConfig, compose
+from cluttergen_jax.placement.problem import (
+    Problem,
+    ProblemConfig,
+    Setup,
+    area_asked,
+    make_setup,
+)
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout
+from cluttergen_jax.placement.shelves import Shelves
+from cluttergen_jax.placement.surface_set import check_surface
 from cluttergen_jax.placement.world import World
 from cluttergen_jax.progress import Progress, interruptible
 
@@ -68,7 +78,8 @@ class Runner:
         self.rollout = Rollout(attempts_of)
         self.resolve = Resolver(self.checkpoints, self.engine).resolve
         self.progress = Progress("evaluating", 0, "scene")
-        self._setups: OrderedDict[Any, Problem] = OrderedDict()
+        self._setups: OrderedDict[Any, Setup] = OrderedDict()
+        self._drawn: tuple[Any, Shelves] | None = None
         self._shared: dict[tuple[int, StabilityConfig], tuple[NumberedEngines, Physics]] = {}
         self._made: set[str] = set()
         self._rows: dict[str, Row] = {}
@@ -255,10 +266,22 @@ class Runner:
         return figures
 
     def run(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> Outcome:
-        """The trial's episodes, whatever was kept."""
+        """The trial's episodes, whatever was kept: scene i is that of `generate` with the trial's seed."""
         trial = resolved.trial
-        sampler = self.sampler(resolved, judge_neighbours)
-        return run_episodes(self.rollout, sampler, trial.trials, trial.seed, self.progress.update)
+        config = self._config(resolved, judge_neighbours)
+        if not config.shelf:
+            sampler = self.sampler(resolved, judge_neighbours)
+            return run_episodes(
+                self.rollout, sampler, trial.trials, trial.seed, self.progress.update
+            )
+        shelves = self._shelves(resolved, config)
+
+        def block(number: int) -> tuple[BlockSampler, np.ndarray]:
+            setup = shelves.block(trial.seed, number)
+            names = setup.problem.world.names
+            return self._sampler_of(resolved, setup, config.stability), shelves.numbers(names)
+
+        return run_shelves(self.rollout, block, trial.trials, trial.seed, self.progress.update)
 
     def sampler(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> BlockSampler:
         """The trial's method in its setup.
@@ -266,46 +289,51 @@ class Runner:
         Raises:
           MissingCheckpointError: its checkpoint cannot be used here.
         """
-        trial = resolved.trial
-        rules = self.setup(resolved, judge_neighbours).rules
-        with usable(resolved.checkpoint, trial):
-            propose = proposer_of(trial.method, resolved.checkpoint, rules)
-        return BlockSampler(rules, propose)
+        setup = self._base_setup(resolved)
+        problem = self.setup(resolved, judge_neighbours)
+        return self._sampler_of(resolved, replace(setup, problem=problem), problem.config.stability)
 
-    def setup(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> Problem:
-        """The trial's compiled world and rules, ready for what is compiled already."""
+    def _sampler_of(
+        self, resolved: ResolvedTrial, setup: Setup, stability: StabilityConfig
+    ) -> BlockSampler:
         trial = resolved.trial
-        base = self._base_setup(resolved)
-        stability = replace(
-            stability_of(trial.stability) if trial.stability else StabilityConfig(),
-            stop_when_decided=resolved.is_cut and not trial.whole_attempts,
-            judge_neighbours=judge_neighbours,
-            robust_tilt=ROBUST_TILT if trial.robust else 0.0,
-        )
-        has_two = engine_of(self.engine, stability) == "native"
-        stability = replace(stability, both_detectors=trial.both_detectors and has_two)
         with usable(resolved.checkpoint, trial):
-            config = with_history_of(base.rules.config, resolved.checkpoint)
+            config = with_history_of(setup.problem.rules.config, resolved.checkpoint)
         # Stable steps, as the paper counts them, need whole attempts; a policy that was trained on attempts
         # cut off as soon as they were decided reads histories of that length.
         is_longer = resolved.is_cut and trial.whole_attempts
         rules = replace(
-            base.rules,
+            setup.problem.rules,
             config=config,
-            physics=self._physics(base.world, stability),
             history_steps=stability.decision_step if is_longer else None,
         )
-        return replace(base, config=replace(base.config, stability=stability), rules=rules)
+        with usable(resolved.checkpoint, trial):
+            propose = proposer_of(trial.method, resolved.checkpoint, rules)
+        # What is compiled for episodes that begin with nothing is shared by all of them.
+        is_bare = not trial.spec.keep_out and resolved.standing is None
+        begins = (None, None) if is_bare else (setup.keep_out, setup.start)
+        return BlockSampler(rules, propose, *begins)
+
+    def setup(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> Problem:
+        """The trial's compiled world and rules, ready for what is compiled already."""
+        base = self._base_setup(resolved).problem
+        config = self._config(resolved, judge_neighbours)
+        if config.shelf:
+            return base
+        rules = replace(base.rules, physics=self._physics(base.world, config.stability))
+        return replace(base, config=replace(base.config, stability=config.stability), rules=rules)
 
     def world(self, resolved: ResolvedTrial) -> World:
         """The trial's compiled world."""
-        return self._base_setup(resolved).world
+        return self._base_setup(resolved).problem.world
 
     def _fill(self, resolved: ResolvedTrial) -> float:
         """Footprints of a scene's objects over the region's area, on average, before any change of it."""
-        areas = footprint_area(self._base_setup(resolved).rules.geometry.half_extents)
-        width, depth = (2 * each for each in resolved.region.half_extents)
-        return float(np.mean(areas) * resolved.trial.num_objects / (width * depth))
+        problem = self._base_setup(resolved).problem
+        areas = footprint_area(problem.rules.geometry.half_extents)
+        width, depth = (2 * each for each in problem.region.half_extents)
+        area = area_asked(problem.config, problem.world.support) or width * depth
+        return float(np.mean(areas) * resolved.trial.num_objects / area)
 
     def _physics(self, world: World, stability: StabilityConfig) -> Physics:
         """The engine of a world. Worlds of equal sizes share what is compiled around a native one.
@@ -323,25 +351,61 @@ class Runner:
         engines.put(engine)
         return physics
 
-    def _base_setup(self, resolved: ResolvedTrial) -> Problem:
-        """The trial's setup but for method and stability; the latest few are kept."""
+    def _config(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> ProblemConfig:
+        """The trial's problem on the runner's engine, judged as its method and its count ask."""
         trial = resolved.trial
-        config = ProblemConfig(
-            pool=trial.pool,
-            repeat=trial.repeat,
-            support=trial.support,
-            region=resolved.region,
-            change=trial.change,
-            engine=self.engine,
-            num_threads=self.num_threads,
-            placement=trial.placement,
+        config = replace(resolved.config, engine=self.engine, num_threads=self.num_threads)
+        stability = replace(
+            config.stability,
+            stop_when_decided=resolved.is_cut and not trial.whole_attempts,
+            judge_neighbours=judge_neighbours,
         )
-        if config not in self._setups:
-            self._setups[config] = compose(resolved.pool.objects, resolved.support, config)
+        has_two = engine_of(self.engine, stability) == "native"
+        is_asked = trial.spec.setting != "paper"
+        return replace(config, stability=replace(stability, both_detectors=is_asked and has_two))
+
+    def _base_setup(self, resolved: ResolvedTrial) -> Setup:
+        """The trial's setup but for method and stability; the latest few are kept.
+
+        Where each block draws objects of its own, that of the first block.
+        """
+        spec = resolved.trial.spec
+        config = self._config(resolved)
+        if config.shelf:
+            return self._shelves(resolved, config).block(resolved.trial.seed, 0)
+        config = replace(config, stability=resolved.config.stability)
+        key = (config, spec.keep_out, spec.start)
+        if key not in self._setups:
+            pool = resolved.pool
+            objects = [pool[name] for name in config.objects] if config.objects else pool.objects
+            region = resolved.region
+            if spec.region is not None:
+                check_region(region, resolved.support)
+            if spec.surface:
+                check_surface(
+                    objects,
+                    resolved.support,
+                    config.placement,
+                    config.contact,
+                    spec.region is not None,
+                )
+            config = replace(config, region=region)
+            self._setups[key] = make_setup(
+                config, spec.boxes(), resolved.standing, (objects, resolved.support)
+            )
             if len(self._setups) > _KEPT_SETUPS:
                 self._setups.popitem(last=False)
-        self._setups.move_to_end(config)
-        return self._setups[config]
+        self._setups.move_to_end(key)
+        return self._setups[key]
+
+    def _shelves(self, resolved: ResolvedTrial, config: ProblemConfig) -> Shelves:
+        """What the trial's blocks draw their objects from; the latest are kept."""
+        spec = resolved.trial.spec
+        key = (config, spec.keep_out)
+        if self._drawn is None or self._drawn[0] != key:
+            pool = resolved.pool.select(config.objects) if config.objects else resolved.pool
+            self._drawn = (key, Shelves(pool, config, resolved.support, spec.boxes()))
+        return self._drawn[1]
 
 
 @dataclass(frozen=True)

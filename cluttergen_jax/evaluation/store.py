@@ -18,6 +18,8 @@ from cluttergen_jax.files import write_atomically
 from cluttergen_jax.schema import SchemaError, checked_record, digest_of, with_checksum
 
 FORMAT = 1
+_LONGEST = 180
+"""Letters of a title in a file name."""
 _SCENES = "scenes"
 """In a row's file: the checksum of its scenes' file."""
 
@@ -39,7 +41,7 @@ class Store:
     def path(self, title: str, key: str) -> Path:
         """Where a result lies; its title is for people, its key decides."""
         assert self.root is not None, "a store that keeps nothing has no files"
-        words = re.sub(r"[^a-z0-9.]+", "-", title.lower()).strip("-")
+        words = re.sub(r"[^a-z0-9.]+", "-", title.lower())[:_LONGEST].strip("-")
         return self.root / f"{words}-{key}.json"
 
     def read(self, title: str, key: str) -> Any | None:

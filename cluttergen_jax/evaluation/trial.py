@@ -1,9 +1,10 @@
-"""A trial, what one row of a table asks: a method, objects on a support, judged how, and how often."""
+"""A trial, what one row of a table asks: a request of scenes, how many of them, and the seeds."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from itertools import product
@@ -11,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.pool import public_name
+from cluttergen_jax.assets.support import Rectangle, recorded_rectangle
+from cluttergen_jax.config import REMOVED_METHODS
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement.clutter import Clutter
-from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.methods.table import entry_of
 from cluttergen_jax.placement.region import find_change
 from cluttergen_jax.spec import SceneSpec
@@ -26,60 +27,42 @@ TIDY = "tidy"
 ROBUST = "robust"
 FREE_HEIGHT = "free height"
 
+_PAPERS = SceneSpec(method="random", num_objects=10, setting="paper")
+_PLACE = ("objects", "shelf", "weights", "balance", "surface", "keep_out", "start")
+"""Fields of a request that say what is placed where."""
+_RULES = ("natural", "relations", "roles", "overhang", "containment", "for_engine", "clearance")
+"""Fields that say by which rules, of which rows that were kept by earlier versions know nothing."""
+_NUMBER = r"(?:\d+\.?\d*|\.\d+)"
+_SIDES = re.compile(f"{_NUMBER}x{_NUMBER}")
+_MOST_TOLD = 40
+"""Letters of a value in a row's name."""
+
 
 @dataclass(frozen=True)
 class Trial:
     """One row.
 
     Attributes:
-      pool, support: names or folders.
-      method: a name of `placement.methods.table.METHODS`, or a user's own (`OwnMethod`).
-      num_objects: objects per scene; attempts: per object.
+      spec: what is asked for, by rules that are all decided; those of the paper unless given (`Trial.of`).
+        The runner has the engine, its threads and the checkpoints: here they are at their defaults.
       trials: scenes.
       seed: of the scenes; training_seed: of the checkpoint, for learned methods.
-      region: the sides of the queried region in metres, at the middle of the support's own; None takes that.
       change: how the region is changed at random in every episode (`changes.REGION_CHANGES`).
-      repeat: allow duplicates: an object may be placed more than once.
       whole_attempts: run attempts to step 240 even when they can no longer succeed, so that stable steps are
         counted as the paper counts them. Verdicts are the same.
       paper_count: run it a second time with the paper's looser count (only the current object is judged, the
         others are put back by hand, no last check).
-      min_margin: metres of support margin asked of what is placed; 0 asks for nothing, as the paper does.
-      robust: ask that what stands also stands under a slight tilt with less friction and softer contacts.
-      both_detectors: the last check asks both of MuJoCo's detectors of convex collisions, as `generate` does;
-        without, the native one alone (`config.DETECTORS`).
-      clutter: what scenes should have on average, as text ("stack=3"); "" asks for nothing.
-      tidy: take the best of the poses that are trusted, as `--tidy` does.
-      height: at which `random` lets go, "rest" or "free" (`PlacementConfig`).
-      poses: in which objects are released, "upright", "resting" or "any".
-      stability: limits of "stable" that are not the usual ones (`config.stability_text`); "" if all are.
-      order, ruin_after, budget: of a `PlacementConfig`; the paper's unless given.
+      removed_method: of a row of an earlier version, a method that nothing makes any more; "" for none.
     """
 
-    pool: str = "dining"
-    support: str = "table"
-    method: str = "random"
-    num_objects: int = 10
-    attempts: int = 5
+    spec: SceneSpec = _PAPERS
     trials: int = 1000
     seed: int = 0
     training_seed: int = 0
-    region: tuple[float, float] | None = None
     change: str = "none"
-    repeat: bool = False
     whole_attempts: bool = False
     paper_count: bool = False
-    min_margin: float = 0.0
-    order: str = "random"
-    ruin_after: int = 0
-    budget: int | None = None
-    robust: bool = False
-    both_detectors: bool = False
-    clutter: str = ""
-    tidy: bool = False
-    height: str = "rest"
-    poses: str = "upright"
-    stability: str = ""
+    removed_method: str = ""
 
     def __post_init__(self) -> None:
         if not 1 <= self.trials <= MAX_TRIALS:
@@ -87,27 +70,51 @@ class Trial:
         if not 0 <= self.seed < 2**32:
             raise ConfigError(f"seed = {self.seed}", "0 to 4294967295")
         find_change(self.change)
-        _ = self.placement
+        method = self.spec.method
+        assert isinstance(method, str), "a trial is of a method"
+        spec = self.spec.with_rules(method)
+        decided = replace(
+            spec,
+            pool=spec.pool_text,
+            exclude=(),
+            checkpoint=None,
+            engine="auto",
+            num_threads=0,
+        )
+        object.__setattr__(self, "spec", decided)
+
+    @staticmethod
+    def of(**changes: Any) -> Trial:
+        """Ten objects by the paper's rules, with some fields of its own or of the request replaced."""
+        return Trial().replace(**changes)
+
+    def replace(self, **changes: Any) -> Trial:
+        """The trial with some fields, its own or those of its request, replaced."""
+        own = {name: changes.pop(name) for name in _OWN if name in changes}
+        return replace(self, spec=replace(self.spec, **changes), **own)
 
     @property
-    def placement(self) -> PlacementConfig:
-        """The rules of its scenes.
+    def pool(self) -> str:
+        """Its name or folder."""
+        return str(self.spec.pool)
 
-        Raises:
-          ConfigError: there are no such rules.
-        """
-        return PlacementConfig(
-            num_objects=self.num_objects,
-            max_attempts=self.attempts,
-            order=self.order,
-            min_margin=self.min_margin,
-            ruin_after=self.ruin_after,
-            budget=self.budget,
-            clutter=Clutter.of(self.clutter) if self.clutter else None,
-            tidy=self.tidy,
-            height=self.height,
-            poses=self.poses,
-        )
+    @property
+    def support(self) -> str:
+        """Its name or folder."""
+        return str(self.spec.support)
+
+    @property
+    def method(self) -> str:
+        """A name of `config.METHODS`, or of a method that was removed."""
+        method = self.spec.method
+        assert isinstance(method, str), "a trial is of a method"
+        return self.removed_method or method
+
+    @property
+    def num_objects(self) -> int:
+        """Of a scene."""
+        assert self.spec.num_objects is not None, "a trial is of so many objects"
+        return self.spec.num_objects
 
     @property
     def num_episodes(self) -> int:
@@ -124,50 +131,150 @@ class Trial:
         """Likewise."""
         return Path(self.support).name
 
+    def fields(self) -> dict[str, Any]:
+        """All of it as plain JSON, by the names of rows, which `trial_of` reads.
+
+        What earlier versions did not know is there where it is given.
+        """
+        spec = self.spec
+        usual = {
+            "pool": self.pool,
+            "support": self.support,
+            "method": str(self.method),
+            "num_objects": self.num_objects,
+            "attempts": spec.max_attempts,
+            "trials": self.trials,
+            "seed": self.seed,
+            "training_seed": self.training_seed,
+            "region": _plain_region(spec.region),
+            "change": self.change,
+            "repeat": spec.repeat,
+            "whole_attempts": self.whole_attempts,
+            "paper_count": self.paper_count,
+            "min_margin": spec.min_margin,
+            "order": spec.order,
+            "ruin_after": spec.ruin_after,
+            "budget": spec.budget,
+            "robust": spec.robust,
+            "both_detectors": spec.setting != "paper",
+            "clutter": _plain_clutter(spec.clutter),
+            "tidy": spec.tidy,
+            "height": spec.height,
+            "poses": spec.poses,
+            "stability": str(spec.stability or ""),
+        }
+        given = {
+            name: getattr(spec, name) for name in (*_PLACE, *_RULES) if name in spec.overrides()
+        }
+        if spec.keep_out:
+            given["keep_out"] = [_plain_box(box) for box in spec.keep_out]
+        return usual | given
+
     def record(self) -> dict[str, Any]:
         """Its fields for results that others read."""
-        plain = {"pool": self.pool_name, "support": self.support_name, "method": str(self.method)}
-        return asdict(self) | plain
+        return self.fields() | {"pool": self.pool_name, "support": self.support_name}
 
     @property
     def row_name(self) -> str:
         """What tables call its row: its method, and what sets its rules apart from that method's own."""
+        spec = self.spec
         is_trusted = entry_of(self.method).is_trusted
-        is_ruined = self.ruin_after > 0
+        is_ruined = bool(spec.ruin_after)
         own, other = ("weighted", "random") if is_trusted else ("random", "weighted")
-        if is_ruined != is_trusted and self.order == other:
+        if is_ruined != is_trusted and spec.order == other:
             words = [RUIN if is_ruined else RANDOM_ORDER]
         else:
-            words = [f"order {self.order}"] if self.order != own else []
-            words += [f"ruin after {self.ruin_after}"] if is_ruined != is_trusted else []
+            words = [f"order {spec.order}"] if spec.order != own else []
+            words += [f"ruin after {spec.ruin_after}"] if is_ruined != is_trusted else []
         return ", ".join([self.method, *words, *self._extra_rules])
 
     @property
     def _extra_rules(self) -> list[str]:
-        named = {TIDY: self.tidy, FREE_HEIGHT: self.height == "free", ROBUST: self.robust}
-        words = [name for name, is_asked in named.items() if is_asked] + [self.clutter] * bool(
-            self.clutter
-        )
-        words += [self.stability] if self.stability else []
-        return words + ([f"{self.poses} poses"] if self.poses != "upright" else [])
+        spec = self.spec
+        named = {TIDY: spec.tidy, FREE_HEIGHT: spec.height == "free", ROBUST: spec.robust}
+        words = [name for name, is_asked in named.items() if is_asked]
+        words += [str(spec.clutter)] if spec.clutter is not None else []
+        words += [str(spec.stability)] if spec.stability else []
+        words += [f"{spec.poses} poses"] if spec.poses != "upright" else []
+        return words + self._told(_RULES)
+
+    @property
+    def asked(self) -> list[str]:
+        """What is placed where, beside pool and support: each field that is given, with its value."""
+        return self._told((*_PLACE, "region"))
+
+    def _told(self, names: tuple[str, ...]) -> list[str]:
+        given = self.spec.overrides()
+        return [_told(name, given[name]) for name in names if name in given]  # type: ignore[literal-required]
 
     @property
     def title(self) -> str:
         """For progress and file names."""
+        spec = self.spec
         words = [self.pool_name, self.support_name, self.method]
         words += [f"seed {self.training_seed}"] if self.training_seed else []
         words += [self.change] if self.change != "none" else []
-        words += [f"margin {1000 * self.min_margin:g} mm"] if self.min_margin else []
+        words += [f"margin {1000 * spec.min_margin:g} mm"] if spec.min_margin else []
         words += self._extra_rules
-        words += [self.order] if self.order != "random" else []
-        words += [f"ruin after {self.ruin_after}"] if self.ruin_after else []
-        words += [f"budget {self.budget}"] if self.budget else []
-        return " ".join([*words, f"{self.num_objects} objects", f"{self.attempts} attempts"])
+        words += self._told(_PLACE)
+        words += [spec.order] if spec.order and spec.order != "random" else []
+        words += [f"ruin after {spec.ruin_after}"] if spec.ruin_after else []
+        words += [f"budget {spec.budget}"] if spec.budget else []
+        return " ".join([*words, f"{self.num_objects} objects", f"{spec.max_attempts} attempts"])
+
+
+_OWN = tuple(field.name for field in fields(Trial) if field.name != "spec")
+
+
+def _plain_clutter(clutter: Any) -> str:
+    """As text that gives the same numbers back."""
+    targets = {} if clutter is None else clutter.targets
+    words = []
+    for name, value in targets.items():
+        short = f"{value:g}"
+        words.append(f"{name}={short if float(short) == value else repr(value)}")
+    return ",".join(words)
+
+
+def _plain_box(box: Rectangle | str) -> Any:
+    return box if isinstance(box, str) else asdict(box)
+
+
+def _plain_region(region: Rectangle | str | None) -> Any:
+    """As rows have always had it: its sides, where it lies at the middle of the support's own."""
+    if isinstance(region, str) and _SIDES.fullmatch(region):
+        return [float(side) for side in region.split("x")]
+    return None if region is None else _plain_box(region)
+
+
+def _told(name: str, value: Any) -> str:
+    """A field and its value in a row's name; of a long value the beginning."""
+    words = name.replace("_", " ").removesuffix(" engine")
+    if value is True:
+        return words
+    text = ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+    return f"{words} {text if len(text) <= _MOST_TOLD else text[: _MOST_TOLD - 3] + '...'}"
 
 
 def trial_of(row: Mapping[str, Any]) -> Trial:
     """The trial of a stored row; settings that an older version did not know are the usual ones."""
-    return Trial(**row["trial"])
+    asked = dict(row["trial"])
+    if asked.get("method") in REMOVED_METHODS:
+        asked["removed_method"] = asked.pop("method")
+    region = asked.get("region")
+    if isinstance(region, Mapping):
+        asked["region"] = recorded_rectangle(region)
+    elif region is not None and not isinstance(region, str):
+        asked["region"] = "x".join(repr(float(side)) for side in region)
+    asked["keep_out"] = tuple(
+        box if isinstance(box, str) else recorded_rectangle(box)
+        for box in asked.get("keep_out", ())
+    )
+    asked["max_attempts"] = asked.pop("attempts", SceneSpec.max_attempts)
+    asked["setting"] = "default" if asked.pop("both_detectors", False) else "paper"
+    asked["clutter"] = asked.get("clutter") or None
+    asked["stability"] = asked.get("stability") or None
+    return Trial.of(**asked)
 
 
 def key_of(trial: Trial, sources: dict[str, Any]) -> str:
@@ -176,37 +283,19 @@ def key_of(trial: Trial, sources: dict[str, Any]) -> str:
     Args:
       sources: hashes of what the trial names (pool, support, checkpoint) and versions.
     """
-    names = [field.name for field in fields(Trial)]
-    usual = Trial()
-    later = names[names.index("min_margin") :]
+    asked = trial.fields()
+    usual = Trial().fields()
+    names = list(usual)
     # Pools and supports by their hashes; the later settings only where they are not the usual ones.
-    left_out = {
-        "pool",
-        "support",
-        *(name for name in later if getattr(trial, name) == getattr(usual, name)),
-    }
-    asked = {name: value for name, value in asdict(trial).items() if name not in left_out}
-    text = json.dumps({"trial": asked, "sources": sources}, sort_keys=True)
+    later = names[names.index("min_margin") :]
+    left_out = {"pool", "support", *(name for name in later if asked[name] == usual[name])}
+    told = {name: value for name, value in asked.items() if name not in left_out}
+    text = json.dumps({"trial": told, "sources": sources}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:20]
 
 
 def grid(base: Trial, **values: Iterable[Any]) -> tuple[Trial, ...]:
     """The trial with every combination of the given fields' values; the last field's vary fastest."""
     return tuple(
-        replace(base, **dict(zip(values, each, strict=True))) for each in product(*values.values())
-    )
-
-
-def with_rules_of(trial: Trial, spec: SceneSpec) -> Trial:
-    """The trial by the rules of a request, the method's own where it gives none."""
-    decided = spec.with_rules(trial.method)
-    return replace(
-        trial,
-        order=decided.order or trial.order,
-        ruin_after=decided.ruin_after or 0,
-        budget=decided.budget,
-        min_margin=decided.min_margin or 0.0,
-        height=spec.height if "height" in entry_of(trial.method).takes else "rest",
-        poses=spec.poses,
-        stability=str(spec.stability or ""),
+        base.replace(**dict(zip(values, each, strict=True))) for each in product(*values.values())
     )

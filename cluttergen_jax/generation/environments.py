@@ -20,11 +20,11 @@ from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.placement.brax_env import Env
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.env import PlacementEnv
-from cluttergen_jax.placement.methods.table import entry_of
+from cluttergen_jax.placement.methods.table import TARGETS, entry_of
 from cluttergen_jax.placement.observation import ObservationConfig
 from cluttergen_jax.placement.problem import make_setup
 from cluttergen_jax.scene.bank.reference import read_start
-from cluttergen_jax.spec import EnvOptions, SceneSpec, spec_of, takes_spec
+from cluttergen_jax.spec import SceneOptions, SceneSpec, spec_of, takes_spec
 
 if TYPE_CHECKING:
     from gymnasium.vector import AutoresetMode
@@ -34,10 +34,20 @@ if TYPE_CHECKING:
 
 OBSERVATIONS = ("flat", "dict")
 ACTIONS = ("pose", "surface")
+_NOT_TAKEN = {
+    **dict.fromkeys(
+        ("height", *TARGETS, "clearance"), "of methods that act alone: here someone else acts"
+    ),
+    **dict.fromkeys(
+        ("shelf", "weights", "balance"), "by which blocks draw worlds: an environment is one world"
+    ),
+    "poses": "of which observations, clouds of upright objects, show nothing",
+}
+"""Fields of a `SceneSpec` that an environment does not take, and why."""
 
 
 @with_own_settings
-@takes_spec(EnvOptions)
+@takes_spec(_NOT_TAKEN)
 def make_env(
     spec: SceneSpec | str | Path | None = None,
     *,
@@ -50,7 +60,7 @@ def make_env(
     history_stride: int = 12,
     num_scene_points: int = 0,
     change: Change = "none",
-    **options: Unpack[EnvOptions],
+    **options: Unpack[SceneOptions],
 ) -> Env:
     """A `brax.envs.Env` of the placement problem: one attempt a step, an episode a scene.
 
@@ -101,10 +111,11 @@ def make_env(
     _check_choices(observation, action)
     observed = ObservationConfig(num_scene_points=num_scene_points, num_cells=num_cells)
     method = _method_of(asked, action, history_stride)
-    config = asked.problem_config(method and method.name)
+    pool = asked.find_pool()
+    config = asked.problem_config(method and method.name, pool)
     placement = replace(config.placement, reward=reward, history_stride=history_stride)
     config = replace(config, placement=placement, change=change)
-    setup = make_setup(config, asked.boxes(), read_start(asked.start))
+    setup = make_setup(config, asked.boxes(), read_start(asked.start), pool=pool)
     rules = setup.problem.rules
     env: Env = PlacementEnv(
         rules,
@@ -143,7 +154,7 @@ def _method_of(asked: SceneSpec, action: str, history_stride: int) -> Method | N
     return method
 
 
-class EnvSettings(EnvOptions, total=False):
+class EnvSettings(SceneOptions, total=False):
     """Arguments of `make_env` that environments made of it take."""
 
     observation: str

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from cluttergen_jax.cluster import Cluster
-from cluttergen_jax.config import stability_record
 from cluttergen_jax.files import writing
 from cluttergen_jax.generation.blocks import (
     Block,
@@ -24,22 +21,17 @@ from cluttergen_jax.generation.blocks import (
     shelved_blocks_here,
 )
 from cluttergen_jax.generation.files import write_files
-from cluttergen_jax.learning.methods import DEFAULT_METHOD, Method, sampler_of
-from cluttergen_jax.physics import engine_of
-from cluttergen_jax.placement.config import placement_record
-from cluttergen_jax.placement.methods.own import OwnMethod
-from cluttergen_jax.placement.problem import Problem, Setup, area_of, crowding
-from cluttergen_jax.placement.rollout import (
-    BLOCK_SIZE,
-    blocks_of,
-)
-from cluttergen_jax.placement.shelves import Shelves
+from cluttergen_jax.generation.recipe import recipe_of
+from cluttergen_jax.generation.sampler import set_up_bank
+from cluttergen_jax.learning.methods import DEFAULT_METHOD, sampler_of
+from cluttergen_jax.placement.problem import Problem, area_of, crowding
+from cluttergen_jax.placement.rollout import blocks_of
 from cluttergen_jax.scene.bank import Bank, BankWriter, read_bank
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.remote import publish_all, url_of
 from cluttergen_jax.scene.bank.totals import ClutterTally, Totals
 from cluttergen_jax.scene.bank.writer import Objects, names_of
-from cluttergen_jax.schema import Record
+from cluttergen_jax.spec import SceneSpec
 
 _FEW = 0.5
 _ROOM = "fewer objects, a larger region or a larger `budget`"
@@ -67,33 +59,38 @@ class GeneratedBank(Bank):
 
 def write_bank(
     out: str | Path,
-    setup: Setup,
-    method: Method,
-    recipe: Record,
+    spec: SceneSpec,
+    seed: int,
     num_scenes: int,
-    render: bool,
-    max_files: int,
-    overwrite: bool,
+    render: bool = True,
+    max_files: int = 1000,
+    overwrite: bool = False,
     cluster: Cluster | None = None,
     allow_other_bits: bool = False,
-    shelves: Shelves | None = None,
 ) -> GeneratedBank:
-    """The bank of a recipe in a folder, begun or continued; see `cluttergen_jax.generate`.
-
-    Args:
-      setup: the problem; of the first block, where blocks draw their objects from `shelves`.
-    """
+    """The bank of a request and a seed in a folder, begun or continued; see `cluttergen_jax.generate`."""
+    # Where blocks draw their objects from `shelves`, the setup is the first block's.
+    method, setup, shelves = set_up_bank(spec, seed)
     problem = setup.problem
     sampler = sampler_of(setup, method)
     bits = bits_of(setup, cluster)
+    recipe = recipe_of(
+        problem,
+        method,
+        seed,
+        spec.keep_out,
+        spec.start,
+        spec.checkpoint,
+        None if shelves is None else shelves.pool.names,
+    )
 
     def make_tables(blocks: Sequence[Block]) -> Iterator[tuple[int, pa.Table]]:
         if cluster is not None:
             wanted = None if allow_other_bits else bits
-            return blocks_on(cluster, setup, method, blocks, recipe["seed"], wanted, shelves)
+            return blocks_on(cluster, setup, method, blocks, seed, wanted, shelves)
         if shelves is not None:
-            return shelved_blocks_here(shelves, method, blocks, recipe["seed"])
-        return blocks_here(sampler, problem, blocks, recipe["seed"])
+            return shelved_blocks_here(shelves, method, blocks, seed)
+        return blocks_here(sampler, problem, blocks, seed)
 
     names: Objects = (
         names_of(problem.world.objects) if shelves is None else shelves.pool.__getitem__
@@ -143,36 +140,6 @@ def write_bank(
         advice=_advice(method.name, totals.success / totals.scenes),
         files_written=written,
     )
-
-
-def recipe_of(problem: Problem, method: Method, names: Sequence[str] | None = None) -> Record:
-    """What decides the scenes of a bank; two equal recipes make equal scenes on one machine.
-
-    Args:
-      names: of all objects, where the problem is of some that were drawn from them.
-    """
-    config = dataclasses.asdict(problem.config)
-    # None decides a scene: threads do not, every scene of a bank has the same region, and the method is told.
-    for name in ("num_threads", "change", "is_piled"):
-        config.pop(name)
-    # Nor is anything drawn where there is no shelf, as in banks of before there were any.
-    for name in ("shelf", "weights", "balance", "surface", "polygon"):
-        if not config[name]:
-            config.pop(name)
-    return {
-        **config,
-        # The engine that "auto" stands for: engines make different scenes.
-        "engine": engine_of(problem.config.engine, problem.config.stability),
-        "placement": placement_record(problem.config.placement),
-        "stability": stability_record(problem.config.stability),
-        "region": dataclasses.asdict(problem.region),
-        "method": str(method.name),
-        **({"method_digest": method.name.digest} if isinstance(method.name, OwnMethod) else {}),
-        "checkpoint_hash": method.checkpoint and method.checkpoint.hash,
-        "block_size": BLOCK_SIZE,
-        "names": problem.world.names if names is None else names,
-        "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax")},
-    }
 
 
 def run_blocks(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
@@ -17,7 +17,8 @@ from cluttergen_jax.config import HAND
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.files import writing
 from cluttergen_jax.generation.files import write_files, write_model
-from cluttergen_jax.generation.generate import GeneratedBank, recipe_of
+from cluttergen_jax.generation.generate import GeneratedBank
+from cluttergen_jax.generation.recipe import recipe_of
 from cluttergen_jax.learning.methods import Method
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.hand import HandError, HandScene
@@ -66,12 +67,7 @@ class HandBank:
         self.setup = setup
         self.keep_out = tuple(keep_out)
         self._seed = seed
-        recipe = recipe_of(problem, Method(HAND)) | {
-            "start": None,
-            "keep_out": [asdict(box) for box in keep_out],
-            "checkpoint": None,
-            "seed": seed,
-        }
+        recipe = recipe_of(problem, Method(HAND), seed, keep_out)
         # A person tries as often as they like.
         del recipe["placement"]["max_attempts"]
         names = names_of(problem.world.objects)
@@ -188,10 +184,10 @@ class HandBank:
 
 def hand_setup(spec: SceneSpec) -> Setup:
     """The problem that a person solves (`make_setup`): attempts as they like, none looked back on."""
-    config = spec.problem_config(None)
-    setup = make_setup(
-        replace(config, placement=replace(config.placement, history_stride=0)), spec.boxes()
-    )
+    pool = spec.find_pool()
+    config = spec.problem_config(None, pool)
+    config = replace(config, placement=replace(config.placement, history_stride=0))
+    setup = make_setup(config, spec.boxes(), pool=pool)
     support = setup.problem.world.support
     if support.named and not support.chosen.is_level:
         raise ConfigError(

@@ -23,9 +23,9 @@ from cluttergen_jax.config import REPAIR, ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.files import file_whole, write_atomically, writing
 from cluttergen_jax.generation.files import write_files
-from cluttergen_jax.generation.generate import recipe_of
 from cluttergen_jax.generation.layout_json import FORM, LayoutEntry, read_layout_json
 from cluttergen_jax.generation.layout_reasons import hint_for_positions, reason_without_place
+from cluttergen_jax.generation.recipe import recipe_of
 from cluttergen_jax.geometry import turn_between
 from cluttergen_jax.learning.methods import Method
 from cluttergen_jax.placement.config import MIN_MARGIN, PlacementConfig
@@ -350,9 +350,10 @@ def repair_layouts(
             write_atomically(out, data.encode())
             return found
         poses = b"".join(each.poses.tobytes() + repr(each.names).encode() for each in given.layouts)
-        recipe = recipe_of(setup.problem, Method(REPAIR)) | {
-            **dict.fromkeys(("start", "checkpoint", "seed")),
-            "keep_out": [],
+        recipe = recipe_of(setup.problem, Method(REPAIR), seed=None)
+        recipe |= {
+            # Where it has always stood among the others.
+            "keep_out": recipe.pop("keep_out"),
             "limits": asdict(limits),
             "layouts": digest_of(poses),
         }

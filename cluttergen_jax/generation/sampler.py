@@ -29,7 +29,7 @@ from cluttergen_jax.generation.arguments import (
 from cluttergen_jax.learning.methods import Method, choose_method, sampler_of, with_history_of
 from cluttergen_jax.numerics import as_float32, with_own_settings
 from cluttergen_jax.placement.observation import ObservationConfig, observe
-from cluttergen_jax.placement.problem import Problem, ProblemConfig, Setup, Standing, make_setup
+from cluttergen_jax.placement.problem import Problem, Setup, make_setup
 from cluttergen_jax.placement.region import KeepOut, Region
 from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.placement.rollout.run import varying_alike
@@ -347,7 +347,7 @@ MAX_RETRIES = 10_000
 
 
 @with_own_settings
-@takes_spec(SceneOptions)
+@takes_spec()
 def make_sampler(
     spec: SceneSpec | str | Path | None = None,
     *,
@@ -398,25 +398,13 @@ def set_up_bank(spec: SceneSpec, seed: int) -> tuple[Method, Setup, Shelves | No
 
     Last, what blocks draw their objects from, if they do: then the setup is that of block 0.
     """
-    method, config = _decide(spec)
-    if not config.shelf:
-        return method, make_setup(config, spec.boxes(), _standing(spec)), None
-    if spec.start is not None:
-        raise ConfigError(
-            "`start` with a shelf of objects that each block draws",
-            "no start",
-            "fewer `objects`, without a shelf",
-        )
-    shelves = Shelves.of(config, spec.boxes())
-    return method, shelves.block(seed, 0), shelves
-
-
-def _decide(spec: SceneSpec) -> tuple[Method, ProblemConfig]:
     method = choose_method(spec.method, spec.pool_text, spec.checkpoint)
     spec.check_method(method.name)
-    config = spec.problem_config(method.name)
-    return method, replace(config, placement=with_history_of(config.placement, method.checkpoint))
-
-
-def _standing(spec: SceneSpec) -> Standing | None:
-    return None if spec.start is None else read_start(spec.start)
+    pool = spec.find_pool()
+    config = spec.problem_config(method.name, pool)
+    config = replace(config, placement=with_history_of(config.placement, method.checkpoint))
+    if not config.shelf:
+        setup = make_setup(config, spec.boxes(), read_start(spec.start), pool=pool)
+        return method, setup, None
+    shelves = Shelves.of(config, spec.boxes(), pool)
+    return method, shelves.block(seed, 0), shelves

@@ -42,43 +42,19 @@ POSES = get_args(Poses)
 
 @dataclass(frozen=True)
 class PlacementConfig:
-    """One episode of the decision process (paper, section 3).
+    """One episode of the decision process (paper, section 3): the rules of a request, all decided.
+
+    The fields that are not explained here are those of `SceneSpec`; where nothing is given they are the
+    paper's. The order "weighted" draws objects one by one, each with a weight of its footprint to the power
+    `ORDER_POWER` (Plackett-Luce).
 
     Attributes:
-      num_objects: slots to fill.
-      max_attempts: attempts per object (paper: 5). Where objects are taken away, this and `num_objects`
-        alone make the budget of the scene, and so many failed attempts are remembered.
-      containment: what must lie in the queried region once settled: the bounding box's "center" or the
-        whole "footprint".
-      order: "random" draws a fresh uniform permutation of a uniform subset each episode; "fixed" takes the
-        world's objects in their order; "largest" sorts a uniform subset by footprint, largest first;
-        "weighted" draws its order one by one, each with a weight of its footprint to the power
-        `ORDER_POWER` (Plackett-Luce): mostly, but not always, largest first.
       reward: "paper" (its equation 1), "code" (what its published code pays) or "compressed".
       history_stride: keep every so many rows of a failed attempt's trajectory, release first; 0 remembers no
         attempt at all, which is faster for methods that never look back.
       motion_cost: c of the paper's equation 1.
       success_reward: R0 of the paper's equation 1.
-      min_margin: metres that the centre of mass of what is placed must lie inside its support, in plan; 0, as
-        in the paper, asks for nothing. A narrow object is asked for a third of what it has on a flat table.
-      ruin_after: failed attempts in a row after which some placed objects are taken away and put into the
-        order again (`placement.removal`); 0 never does, and the scene has failed after `max_attempts`.
-      budget: attempts of a scene in all, of which it ends when fewer are left than slots to fill; None for
-        `num_objects` x `max_attempts`.
-      overhang: how much of an object may reach beyond the support's edge once it rests, seen from above:
-        "any"; "half", a quarter of its footprint, half of where an even body tips; or "none".
-      clutter: what the trusted methods should bring about (`Clutter`, or what `Clutter.of` takes).
-      natural: the trusted methods prefer flat, wide objects below (`placement.search.candidate_sampler`).
-      tidy: of the candidates that they trust the trusted methods take the one that costs the least room, by
-        the cost of `drop`, instead of drawing uniformly.
-      height: at which `random` lets go: at "rest", 1 mm above where the object would stand on the bare top;
-        or "free", anywhere in the region's range of heights.
-      poses: in which objects are released, but for a turn about z: "upright"; "resting", a resting pose drawn
-        anew for each attempt; or "any" (`placement.orientations`).
-      relations: texts that say what must hold of which objects (`placement.relations`); what is related is
-        placed first.
-      roles: names in these, each with the condition of the objects that it may stand for.
-      clearance: metres between the boxes of what `packed` places side by side.
+      roles: each name with its condition.
       most_stacked: objects that may rest on others at most; None for any number. `packed` allows as many as
         `clutter` asks for by `stack`, unasked none.
       retry_last: a scene that moves in its last check is not over while attempts are left: what moved is

@@ -18,7 +18,7 @@ from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import BatchEngine
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.placement.types import Orientations
-from cluttergen_jax.placement.world_geometry import own_margin_of, surface_runs
+from cluttergen_jax.placement.world import own_margin_of, surface_runs
 from cluttergen_jax.types import Verdict
 
 MAX_RESTING = 8

@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 from cluttergen_jax.assets.height_profile import HeightProfile
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.outline import Ring, ring_area
-from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.pool import Pool, find_pool
 from cluttergen_jax.assets.support import Rectangle, SupportAsset, cuboid_table
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.assets.support_map import check_keep_out, check_region, rim_height
@@ -36,10 +36,12 @@ from cluttergen_jax.placement.world import (
     World,
     columns_of,
     compile_layout,
+    geometry_of,
     make_world,
+    on_device,
+    pad_geometry,
     repeat_objects,
 )
-from cluttergen_jax.placement.world_geometry import geometry_of, on_device, pad_geometry
 
 SMALLEST_REGION = 0.02
 MOST_CROWDED = 8.0
@@ -105,8 +107,14 @@ class Problem:
     region: Rectangle
 
 
-def make_problem(config: ProblemConfig, standing: Sequence[ObjectAsset] = ()) -> Problem:
+def make_problem(
+    config: ProblemConfig, standing: Sequence[ObjectAsset] = (), pool: Pool | None = None
+) -> Problem:
     """Finds the assets, compiles the world and wires it to an engine.
+
+    Args:
+      standing: objects that stand there when an episode begins.
+      pool: the one that `config` names, where it is at hand.
 
     Raises:
       PoolError: a pool, an object or a support cannot be found.
@@ -118,7 +126,7 @@ def make_problem(config: ProblemConfig, standing: Sequence[ObjectAsset] = ()) ->
             "1 to 200 objects here; `generate` and `make_sampler` take any number",
             "fewer `objects`",
         )
-    pool = find_pool(config.pool, names=config.objects)
+    pool = pool or find_pool(config.pool, names=config.objects)
     chosen = [pool[name] for name in config.objects] if config.objects else list(pool.objects)
     support = find_support(config.support).on_surface(config.surface)
     region = config.region or support.region
@@ -383,18 +391,20 @@ def make_setup(
     keep_out: Sequence[Rectangle] = (),
     standing: Standing | None = None,
     assets: tuple[Sequence[ObjectAsset], SupportAsset] | None = None,
+    pool: Pool | None = None,
 ) -> Setup:
     """Compiles the problem, around objects that stand there already if there are any.
 
     Args:
       assets: objects and a support that are at hand, in place of those that `config` names.
+      pool: the one that `config` names, where it is at hand.
 
     Raises:
       ConfigError: a box cannot meet the region, or `make_problem` refuses.
       PoolError: something cannot be found or read.
     """
     objects, poses = standing or ((), np.zeros((0, 7), np.float32))
-    problem = compose(*assets, config, objects) if assets else make_problem(config, objects)
+    problem = compose(*assets, config, objects) if assets else make_problem(config, objects, pool)
     check_keep_out(keep_out, problem.region)
     return Setup(problem, keep_out_of(keep_out), start_of(problem.world, poses))
 

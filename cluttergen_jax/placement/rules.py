@@ -1,7 +1,13 @@
-"""The rules of the problem, below any reinforcement-learning wrapper: begin an episode, make an attempt."""
+"""The rules of the problem, below any reinforcement-learning wrapper: begin an episode, make an attempt.
+
+Which objects come in which order, what is asked of a place where one has come to rest beyond standing still,
+which are taken away again from a scene that is stuck, and what an attempt pays.
+"""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from typing import Protocol
 
 import jax
@@ -10,16 +16,28 @@ from flax import struct
 
 from cluttergen_jax.physics.host import NumberedEngines, Physics
 from cluttergen_jax.physics.standing import has_moved
-from cluttergen_jax.placement.acceptance import Acceptance
-from cluttergen_jax.placement.boxes import footprint_area
-from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.region import KeepOut, Region, no_keep_out, pose_of_action
-from cluttergen_jax.placement.related import RelatedObjects
-from cluttergen_jax.placement.removal import choose_removal, remove
-from cluttergen_jax.placement.reward import reward_of
-from cluttergen_jax.placement.slots import SlotDraw
-from cluttergen_jax.placement.support_graph import empty_graph, graph_after_settling
-from cluttergen_jax.placement.support_map import map_below
+from cluttergen_jax.placement.boxes import Boxes, footprint_area
+from cluttergen_jax.placement.config import ORDER_POWER, PlacementConfig
+from cluttergen_jax.placement.containers import draw_contents, openings_of
+from cluttergen_jax.placement.region import (
+    KeepOut,
+    Region,
+    box_corners,
+    from_pose,
+    is_in_polygon,
+    is_inside,
+    is_kept_out,
+    no_keep_out,
+    pose_of_action,
+)
+from cluttergen_jax.placement.related import RelatedObjects, carriers_of, holds_among
+from cluttergen_jax.placement.support_graph import (
+    empty_graph,
+    graph_after_settling,
+    graph_without,
+    supported_by,
+)
+from cluttergen_jax.placement.support_map import map_below, most_beyond, on_map, shares_beyond
 from cluttergen_jax.placement.surface_set import SurfaceSet
 from cluttergen_jax.placement.types import (
     Body,
@@ -32,6 +50,13 @@ from cluttergen_jax.placement.types import (
     Transition,
 )
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
+
+_OWN_SHARE = 1 / 3
+"""Of what a narrow object has on a flat table: so much support margin is asked of it at most. Of a round face
+engines name four points or so, which can leave less than half of it."""
+_SHARE = (0.5, 3.5)
+"""Of the current object's footprint: so much is freed at least, drawn anew each time."""
+_CODE_LAST_BONUS = 1000.0
 
 
 class Proposer(Protocol):
@@ -48,6 +73,268 @@ class RegionDraw(Protocol):
     def __call__(self, key: Array) -> Region:
         """A region drawn with `key`."""
         ...
+
+
+@dataclass(frozen=True, eq=False)
+class SlotDraw:
+    """Draws the objects of an episode.
+
+    Attributes:
+      config: what is asked of it. geometry: K objects.
+      num_started: the most objects that may stand there already.
+      related: the relations that scenes must fulfil; None for none.
+    """
+
+    config: PlacementConfig
+    geometry: Geometry
+    num_started: int
+    related: RelatedObjects | None
+
+    @property
+    def num_slots(self) -> int:
+        """S: slots of those that stand there already, then of those to be placed."""
+        return self.num_started + self.config.num_objects
+
+    def draw(self, key: Array, is_taken: Array, roles: Array | None) -> Array:
+        """i32[S]: the objects that stand, then those to place, then -1 for slots without an object.
+
+        Those to place are a uniform subset of the objects not taken, whatever their order but "fixed"; those
+        of roles are among them and come first, each after those to which it is placed. Where objects are to
+        be inside of others, so many that fit are among them, and what they fit into comes first.
+        """
+        ranks = jnp.arange(self.geometry.num_objects, dtype=jnp.float32)
+        if self.config.order != "fixed":
+            ranks = jax.random.uniform(key, ranks.shape)
+        ranks = jnp.where(is_taken, jnp.inf, ranks)
+        if roles is not None:
+            ranks = ranks.at[roles].set(-1.0)
+        is_container = None
+        if self.num_contained and self.config.order != "fixed":
+            # No search finds room inside of others where nothing that is drawn fits into anything.
+            is_content, is_container = draw_contents(
+                jax.random.fold_in(key, 6),
+                self.geometry,
+                is_taken,
+                self.num_contained,
+                self.config.num_objects,
+            )
+            ranks = jnp.where((is_content | is_container) & ~is_taken, ranks - 1.0, ranks)
+        chosen = jnp.argsort(ranks)[: self.config.num_objects].astype(jnp.int32)
+        chosen = jnp.where(jnp.isfinite(ranks[chosen]), chosen, -1)
+        if self.config.order in ("largest", "weighted"):
+            chosen = chosen[jnp.argsort(-self._weight(key)[chosen])]
+        if is_container is not None:
+            chosen = chosen[jnp.argsort(~is_container[chosen], stable=True)]
+        if roles is not None and self.related is not None:
+            chosen = chosen[jnp.argsort(self.related.priority(roles)[chosen], stable=True)]
+        standing = jnp.nonzero(is_taken, size=self.num_started, fill_value=-1)[0].astype(jnp.int32)
+        slots = jnp.concatenate([standing, chosen])
+        slots = jnp.pad(slots, (0, self.num_slots - slots.shape[0]), constant_values=-1)
+        return slots[jnp.argsort(slots < 0, stable=True)]
+
+    @property
+    def num_contained(self) -> int:
+        """Objects that are drawn to be inside of others: one more than are asked for, for want of room."""
+        clutter = self.config.clutter
+        asked = math.ceil((clutter and clutter.contained) or 0)
+        return min(asked + 1, self.config.num_objects - 1) if asked else 0
+
+    def _weight(self, key: Array) -> Array:
+        """f32[K]: who comes first, highest first. With noise of Gumbel's it is a draw by Plackett-Luce."""
+        weight = jnp.log(footprint_area(self.geometry.half_extents))
+        if self.config.order == "largest":
+            return weight
+        noise = jax.random.gumbel(jax.random.fold_in(key, 1), weight.shape)
+        return ORDER_POWER * weight + noise
+
+
+@dataclass(frozen=True, eq=False)
+class Acceptance:
+    """Judges places by support margin, queried region, keep-out boxes, overhang, surface and relations.
+
+    Attributes:
+      config, geometry, related, surfaces, polygon, support_map: those of `Rules`.
+    """
+
+    config: PlacementConfig
+    geometry: Geometry
+    related: RelatedObjects | None
+    surfaces: SurfaceSet | None
+    polygon: Array | None
+    support_map: SupportMap | None
+
+    def verdict(self, episode: Episode, focus: Array, settling: Settling) -> Array:
+        """The attempt's verdict, i32: the simulator's, where nothing graver is found."""
+        verdict = settling.verdict
+        if self.config.min_margin:
+            is_poor = (verdict == Verdict.STABLE) & ~self.is_supported(episode, focus, settling)
+            verdict = jnp.where(is_poor, int(Verdict.UNSUPPORTED), verdict)
+        pose = settling.poses[focus]
+        half_extents = self.geometry.half_extents[focus]
+        inside = is_inside(pose, half_extents, episode.region, self.config.containment)
+        support_map = map_below(self.geometry, episode.surface, focus)
+        inside &= ~is_kept_out(on_map(support_map, pose), half_extents, episode.keep_out)
+        inside &= self.is_in_polygon(on_map(support_map, pose), half_extents)
+        if self.surfaces is not None:
+            inside &= self.surfaces.has_room(episode, focus)
+        if support_map is not None:
+            center = from_pose(pose).apply(self.geometry.center_of_mass[focus])
+            height = episode.region.T_world_region.inverse().apply(center)[2]
+            # Physics knows the lowest point of a surface alone.
+            is_graver = (verdict == Verdict.OVERFLOW) | (verdict == Verdict.NON_FINITE)
+            has_fallen = (height < 0) & ~is_graver & (verdict != Verdict.NONE)
+            verdict = jnp.where(has_fallen, int(Verdict.FELL), verdict)
+            if support_map.ceiling is not None:
+                xy = on_map(support_map, pose)[:2]
+                ceiling = support_map.ceiling.reshape(-1)[support_map.index_of(xy[0], xy[1])]
+                inside &= height < ceiling
+        if self.config.overhang != "any":
+            inside &= ~self._is_beyond(episode, focus, settling)
+        verdict = jnp.where((verdict == Verdict.STABLE) & ~inside, int(Verdict.OUTSIDE), verdict)
+        if self.config.most_stacked is not None:
+            is_stacked = jnp.any(settling.bears & episode.is_placed)
+            num_stacked = jnp.sum(episode.is_placed & (episode.support_graph.level > 0))
+            is_one_more = is_stacked & (num_stacked >= self.config.most_stacked)
+            verdict = jnp.where(
+                (verdict == Verdict.STABLE) & is_one_more, int(Verdict.UNRELATED), verdict
+            )
+        if self.related is None:
+            return verdict
+        is_related = self._is_related(self.related, episode, focus, settling)
+        return jnp.where((verdict == Verdict.STABLE) & ~is_related, int(Verdict.UNRELATED), verdict)
+
+    def _is_related(
+        self, related: RelatedObjects, episode: Episode, focus: Array, settling: Settling
+    ) -> Array:
+        """Whether all relations hold of which both objects are placed, the focus object included; bool."""
+        assert episode.roles is not None
+        is_placed = episode.is_placed.at[focus].set(True)
+        poses = jnp.where(is_placed[:, None], settling.poses, Start.empty(len(is_placed)).poses)
+        boxes = Boxes.of(self.geometry.half_extents, poses)
+        carriers = carriers_of(related, episode.roles, focus, episode.is_placed)
+        is_carried = jnp.all(settling.bears | ~carriers)
+        openings = openings_of(self.geometry, poses)
+        return is_carried & holds_among(
+            related, episode.roles, boxes, openings, is_placed, episode.region
+        )
+
+    def is_in_polygon(self, pose: Array, half_extents: Array) -> Array:
+        """bool: whether an object, its pose f32[7] in the polygon's frame, is in it as far as is asked."""
+        if self.polygon is None:
+            return jnp.bool_(True)
+        is_center = self.config.containment == "center"
+        points = pose[None, :2] if is_center else box_corners(pose, half_extents)[:, :2]
+        return jnp.all(is_in_polygon(points, self.polygon))
+
+    def _is_beyond(self, episode: Episode, focus: Array, settling: Settling) -> Array:
+        """Whether anything that this episode placed reaches too far beyond the support's edge; bool."""
+        assert self.support_map is not None
+        is_focus = jnp.arange(self.geometry.num_objects) == focus
+        is_judged = (episode.is_placed | is_focus) & ~episode.is_started
+        if episode.surface is None:
+            shares = shares_beyond(self.support_map, self.geometry, settling.poses)
+        else:
+            each = jax.vmap(lambda one: shares_beyond(one, self.geometry, settling.poses))(
+                self.support_map
+            )
+            shares = each[jnp.maximum(episode.surface, 0), jnp.arange(each.shape[1])]
+        return jnp.any(is_judged & (shares > most_beyond(self.config.overhang)))
+
+    def is_supported(self, episode: Episode, focus: Array, settling: Settling) -> Array:
+        """Whether all that this episode placed, the focus object included, has the margin asked for; bool."""
+        is_focus = jnp.arange(self.geometry.num_objects) == focus
+        is_judged = (episode.is_placed | is_focus) & ~episode.is_started
+        own = self.geometry.own_margins_at(settling.poses)
+        asked = jnp.minimum(self.config.min_margin, _OWN_SHARE * own)
+        return ~jnp.any(is_judged & (settling.margin < asked))
+
+
+def choose_removal(episode: Episode, geometry: Geometry, is_started: Array) -> Array:
+    """The placed objects nearest to a random one, until enough footprint is free: bool[K].
+
+    Drawn with the episode's key, anew after every attempt. What leans on them is for `remove` to find.
+
+    Args:
+      is_started: bool[K], those that stood there from the beginning and stay.
+    """
+    # Those who step an episode by themselves need not change its key.
+    key = jax.random.fold_in(jax.random.fold_in(episode.key, 2), episode.counts.attempts.sum())
+    key_center, key_share = jax.random.split(key)
+    is_mine = episode.is_placed & ~is_started
+    center = jnp.argmax(
+        jax.random.gumbel(key_center, is_mine.shape) + jnp.where(is_mine, 0.0, -jnp.inf)
+    )
+    offset = episode.poses[:, :2] - episode.poses[center, :2]
+    order = jnp.argsort(jnp.where(is_mine, jnp.sum(offset**2, axis=1), jnp.inf))
+    area = footprint_area(geometry.half_extents)
+    focus = jnp.maximum(
+        episode.object_index[jnp.minimum(episode.slot, len(episode.object_index) - 1)], 0
+    )
+    wanted = area[focus] * jax.random.uniform(key_share, minval=_SHARE[0], maxval=_SHARE[1])
+    freed = jnp.cumsum(area[order])
+    is_taken = freed - area[order] < wanted
+    return jnp.zeros_like(is_mine).at[order].set(is_taken) & is_mine
+
+
+def remove(
+    episode: Episode, which: Array, geometry: Geometry, related: RelatedObjects | None = None
+) -> Episode:
+    """The episode without some placed objects, and without all that leans on them.
+
+    They come again, after the current object. What was spent on them stays counted, in their new slots.
+
+    Args:
+      which: bool[K]; of what stood there from the beginning nothing is taken.
+    """
+    is_mine = episode.is_placed & ~episode.is_started
+    which = supported_by(which & is_mine, episode.support_graph.leans_on & is_mine[:, None])
+    slots = jnp.arange(len(episode.object_index))
+    index = jnp.maximum(episode.object_index, 0)
+    is_kept = (slots < episode.slot) & ~which[index]
+    group = jnp.where(is_kept, 0, jnp.where(slots == episode.slot, 1, 2))
+    last = 3
+    if related is not None and episode.roles is not None:
+        # Nothing comes before that to which it is placed.
+        group = jnp.where(is_kept, 0, 1 + related.priority(episode.roles)[index])
+        last = related.num_roles + 2
+    order = jnp.argsort(jnp.where(episode.object_index < 0, last, group), stable=True)
+    counts = episode.counts
+    return episode.replace(
+        object_index=episode.object_index[order],
+        slot=is_kept.sum().astype(jnp.int32),
+        attempt=jnp.int32(0),
+        poses=jnp.where(which[:, None], Start.empty(len(which)).poses, episode.poses),
+        is_placed=episode.is_placed & ~which,
+        history=jax.tree.map(jnp.zeros_like, episode.history),
+        counts=counts.replace(
+            attempts=counts.attempts[order],
+            steps=counts.steps[order],
+            rest_steps=jnp.where(is_kept, counts.rest_steps, 0)[order],
+        ),
+        support_graph=graph_without(episode.support_graph, which, geometry),
+    )
+
+
+def reward_of(
+    settling: Settling, is_stable: Array, ordinal: Array, is_last: Array, config: PlacementConfig
+) -> Array:
+    """The reward of one attempt, f32.
+
+    "paper": -c sum_t (|v_t| + |a_t|) + n R0 1[stable], n the object's ordinal from 1 (paper, equation 1).
+    "code": -c sum_t |v_t|_1 + R0 1[stable], and 1,000 more for the last object (its published code).
+    "compressed": 1[stable] - log(1 + c sum_t (|v_t| + |a_t|)) / 10. The paper's penalty on a failed attempt
+      is 69 in the median and up to 1,600; its logarithm keeps the order and spares the critic.
+
+    Args:
+      ordinal: i32, 1 for the first object.
+    """
+    stable = is_stable.astype(jnp.float32)
+    if config.reward == "paper":
+        return -config.motion_cost * settling.motion_sum + ordinal * config.success_reward * stable
+    if config.reward == "code":
+        bonus = config.success_reward + _CODE_LAST_BONUS * is_last
+        return -config.motion_cost * settling.speed_sum + bonus * stable
+    return stable - jnp.log1p(config.motion_cost * settling.motion_sum) / 10
 
 
 class Rules(struct.PyTreeNode, eq=False):

@@ -247,9 +247,15 @@ class Shelves:
         check_room(objects, support, region, config.placement, config.is_piled)
 
     @classmethod
-    def of(cls, config: ProblemConfig, keep_out: Sequence[Rectangle] = ()) -> Shelves:
-        """Those of the pool, objects and support that a config names (PoolError: there is none)."""
-        pool = find_pool(config.pool, names=config.objects)
+    def of(
+        cls, config: ProblemConfig, keep_out: Sequence[Rectangle] = (), pool: Pool | None = None
+    ) -> Shelves:
+        """Those of the pool (where it is at hand), objects and support that a config names.
+
+        Raises:
+          PoolError: there is none.
+        """
+        pool = pool or find_pool(config.pool, names=config.objects)
         if config.objects:
             pool = pool.select(config.objects)
         return cls(pool, config, find_support(config.support).on_surface(config.surface), keep_out)

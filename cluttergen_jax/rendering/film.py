@@ -211,7 +211,8 @@ def _with_size_of(picture: PictureConfig, camera: Camera | None) -> PictureConfi
 def _rotate_about(camera: Camera, middle: Sequence[float], angle: float) -> Camera:
     """The camera somewhere else on its circle around a vertical axis through `middle` (x, y), metres."""
     turn = np.eye(4)
-    (cos, sin) = (math.cos(angle), math.sin(angle))
+    cos = math.cos(angle)
+    sin = math.sin(angle)
     turn[:2, :2] = [[cos, -sin], [sin, cos]]
     turn[:2, 3] = middle - turn[:2, :2] @ middle
     return replace(camera, T_world_camera=turn @ camera.T_world_camera)

@@ -20,8 +20,7 @@ from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import region_of
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.world import World, make_world
-from cluttergen_jax.placement.world_geometry import geometry_of
+from cluttergen_jax.placement.world import World, geometry_of, make_world
 from cluttergen_jax.types import Settling
 from studies.benchmarks.bodies import box
 from studies.benchmarks.host import TimedPhysics

@@ -29,7 +29,7 @@ def trials(scale: Scale) -> tuple[Trial, ...]:
         scale.trial(256, 4),
         pool=scale.pools_or("dining"),
         method=(OURS, TWIN),
-        clutter=("", *(f"stack={each}" for each in STACKS)),
+        clutter=(None, *(f"stack={each}" for each in STACKS)),
     )
     return tuple(map(own_rules, rows))
 
@@ -62,8 +62,8 @@ def _render(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
     """A scene for each number of objects on others, from tidy to heap: one that has as many as were asked."""
     images: list[np.ndarray] = []
     captions: list[str] = []
-    for trial in (each for each in trials if each.clutter):
-        stack = Clutter.of(trial.clutter).stack or 0
+    for trial in (each for each in trials if each.spec.clutter):
+        stack = Clutter.of(trial.spec.clutter or "stack=0").stack or 0
         try:
             # Both methods follow the target; the first one that is there is drawn.
             scenes = successes_of(runner, trial)

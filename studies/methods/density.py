@@ -72,7 +72,7 @@ def trials(scale: Scale) -> tuple[Trial, ...]:
     names = (*ALL_METHODS, "drop, ruin", "clear, ruin")
     ladder = grid(base, pool=scale.pools_or("dining"), support=table_sizes(*SIZES, _NARROW))
     filled = [
-        replace(base, pool=ALL, num_objects=_FILL_OBJECTS, support=filled_table(fill))
+        base.replace(pool=ALL, num_objects=_FILL_OBJECTS, support=filled_table(fill))
         for fill in FILLS
     ]
     rows = (*named_rows(ladder, *names), *named_rows(filled, *FULLNESS))
@@ -83,7 +83,7 @@ def crowds(scale: Scale) -> tuple[Trial, ...]:
     """More and more objects on the paper's table; fewest of them also in random order, nothing taken away."""
     base = scale.trial(256, 4, pool=ALL)
     bases = [
-        replace(base, num_objects=n, budget=times and times * n) for n, times in _CROWDS.items()
+        base.replace(num_objects=n, budget=times and times * n) for n, times in _CROWDS.items()
     ]
     plain = [
         f"{name}, random order{tidy}" for name in ("spread", "guided") for tidy in ("", ", tidy")
@@ -132,8 +132,8 @@ def _rung(row: Row) -> str:
     trial = trial_of(row)
     size = trial.support.removeprefix("table-")
     objects = f"{trial.num_objects} objects"
-    if trial.budget:
-        objects += f", {trial.budget // trial.num_objects} n attempts"
+    if trial.spec.budget:
+        objects += f", {trial.spec.budget // trial.num_objects} n attempts"
     if size == "table":
         return objects
     return f"{size} m" if trial.pool != ALL else f"{objects}, {size} m"

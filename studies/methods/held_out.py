@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 from cluttergen_jax.evaluation.cells import SUCCESS, made_rows, name_of, request_columns
 from cluttergen_jax.evaluation.records import Row
@@ -27,7 +26,7 @@ def trials(scale: Scale) -> tuple[Trial, ...]:
     if scale.imported:
         pool = "+".join(name for name, _ in scale.imported)
         num_objects = min(OBJECTS, sum(number for _, number in scale.imported))
-        bases.append(replace(base, pool=pool, num_objects=num_objects))
+        bases.append(base.replace(pool=pool, num_objects=num_objects))
     return with_seeds(named_rows(bases, *ROWS), OURS, scale.seeds)
 
 

@@ -249,7 +249,7 @@ def _by_attempts(scale: Scale) -> tuple[Trial, ...]:
     base = scale.trial_by_both_counts(1000, 6)
     pools = scale.pools_or("dining")
     attempts = scale.values(TABLE_ATTEMPTS, (1, DEFAULT_ATTEMPTS))
-    return grid(base, pool=pools, method=("random", CLUTTERGEN, "policy"), attempts=attempts)
+    return grid(base, pool=pools, method=("random", CLUTTERGEN, "policy"), max_attempts=attempts)
 
 
 def _trained_with(row: Row) -> str:

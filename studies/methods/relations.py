@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +29,7 @@ def trials(scale: Scale) -> tuple[Trial, ...]:
     Nobody is asked for a support margin, as in table 1.
     """
     bases = grid(scale.trial(1000, 6), pool=scale.pools_or(*EMBEDDED))
-    ours = [replace(each, min_margin=0.0) for each in named_rows(bases, "spread", "guided")]
+    ours = [each.replace(min_margin=0.0) for each in named_rows(bases, "spread", "guided")]
     return (*of_methods(first_seed(scale), CLUTTERGEN, "policy", "random"), *ours)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -44,8 +43,8 @@ def _robust_rows(scale: Scale) -> tuple[Trial, ...]:
     """Ten objects on a tight table, thirty of every pool on the paper's, and ten with some on others."""
     base = scale.trial(256, 4)
     tight = grid(base, pool=scale.pools_or("dining"), support=(TIGHT,))
-    stacked = [replace(each, clutter=STACKED) for each in tight]
-    crowd = replace(base, pool=ALL, num_objects=_CROWD, trials=-(-base.trials // 4))
+    stacked = [each.replace(clutter=STACKED) for each in tight]
+    crowd = base.replace(pool=ALL, num_objects=_CROWD, trials=-(-base.trials // 4))
     return (
         *named_rows([*tight, crowd], *ROWS),
         *named_rows(stacked, *(name for name in ROWS if name.split(", ")[0] in TRUSTED)),

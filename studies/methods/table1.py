@@ -103,7 +103,7 @@ def imported_trials(scale: Scale) -> tuple[Trial, ...]:
 def first_seed(scale: Scale) -> tuple[Trial, ...]:
     """Those of the first seed of training, which other figures look at more closely, but free heights."""
     return tuple(
-        each for each in trials(scale) if each.training_seed == 0 and each.height != "free"
+        each for each in trials(scale) if each.training_seed == 0 and each.spec.height != "free"
     )
 
 
@@ -178,7 +178,7 @@ def differs(row: Row) -> str:
     parts = ["engine", *(["assets"] if trial.pool in GROUP_OF_POOL else [])]
     if trial.num_objects != OBJECTS:
         parts.append(f"{trial.num_objects} objects for {OBJECTS}")
-    if trial.method == "random" and trial.height != "free":
+    if trial.method == "random" and trial.spec.height != "free":
         parts.append("height")
     parts += [
         words.format(policy[name])
@@ -216,7 +216,7 @@ def differences(result: Result) -> tuple[str, ...]:
         f"what differs from the paper: {engine}; its policies had {BUDGET:,} training attempts",
         *([f"assets: modelled objects, {stands}"] if groups else []),
         "height: `random` lets go at the object's own resting height",
-        *([_FREE] if any(trial_of(row).height == "free" for row in result["records"]) else ()),
+        *([_FREE] if any(trial_of(row).spec.height == "free" for row in result["records"]) else ()),
         *([_NOT_NOTED] if any(_is_not_noted(row) for row in result["records"]) else ()),
     )
 

@@ -50,7 +50,7 @@ PAPER_BY_CHANGE = {
 def _changes(scale: Scale) -> tuple[Trial, ...]:
     """Policies that were trained on one region, on a large table; the paper's own objects where at hand."""
     own = [pool for pool, _ in scale.imported if pool == f"{IMPORTED}{POOL}"]
-    base = scale.trial_by_both_counts(500, 4, support="table-1.40x1.40", region=(0.60, 0.70))
+    base = scale.trial_by_both_counts(500, 4, support="table-1.40x1.40", region="0.6x0.7")
     methods = ("policy", CLUTTERGEN, "random")
     changes = scale.values(tuple(REGION_CHANGES), ("none", "all"))
     return grid(base, pool=scale.pools_or(POOL, *own), method=methods, change=changes)
@@ -136,7 +136,7 @@ def _trials(supports: tuple[str, ...], *policies: str) -> Callable[[Scale], tupl
         }
         base = scale.trial(50, 2, change="all", paper_count=not scale.quick)
         learned = grid(base, method=policies, **places)
-        bases = grid(replace(base, paper_count=False), **places)
+        bases = grid(base.replace(paper_count=False), **places)
         return (*learned, *(row for name in ROWS for row in named_rows(bases, name)))
 
     return trials
@@ -246,7 +246,7 @@ def _by_support(title: str, rows: list[Row], tables_are: str, is_loose: bool) ->
 
 def _question(row: Row) -> str:
     trial = trial_of(row)
-    return f"{trial.pool} on {trial.support}, {1e3 * trial.min_margin:g} mm"
+    return f"{trial.pool} on {trial.support}, {1e3 * (trial.spec.min_margin or 0.0):g} mm"
 
 
 TABLES = Study(

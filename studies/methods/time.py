@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 
 from cluttergen_jax.evaluation.cells import Column, request_columns
@@ -39,7 +38,7 @@ def measure(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
             continue
         for cores in dict.fromkeys((1, os.cpu_count() or 1)):
             runner.begin(f"time of {trial.title} on {cores} cores")
-            order = {"trial": asdict(trial), "cores": cores, "engine": runner.engine}
+            order = {"trial": trial.fields(), "cores": cores, "engine": runner.engine}
             order["checkpoint"] = checkpoint and str(checkpoint.path)
             rows.append(row_of(trial, _run_apart(json.dumps(order))))
     return Findings(rows)

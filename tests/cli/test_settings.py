@@ -77,7 +77,7 @@ def test_regions_lie_on_the_top_however_they_and_it_are_turned(region, fits, tur
 
 def test_regions_that_grow_in_evaluation_may_be_wider_than_the_top(tmp_path):
     runner = Runner(Store(tmp_path))
-    problem = runner.setup(runner.resolve(Trial(change="all", num_objects=1)))
+    problem = runner.setup(runner.resolve(Trial.of(change="all", num_objects=1)))
     assert problem.region.half_extents == (0.30, 0.35)
     np.testing.assert_allclose(problem.rules.region.half_extents, (0.35, 0.35))
 

@@ -1,6 +1,5 @@
 """Rows of trials: kept on disk, found again by content, missing where a policy is."""
 
-import dataclasses
 import json
 
 import numpy as np
@@ -13,21 +12,19 @@ from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial, key_of
 
-SMALL = Trial(num_objects=2, trials=6)
+SMALL = Trial.of(num_objects=2, trials=6)
 
 
 def test_keys_follow_content():
     sources = {"pool": "a", "checkpoint": None}
-    assert key_of(SMALL, sources) == key_of(dataclasses.replace(SMALL), dict(sources))
-    others = [dataclasses.replace(SMALL, seed=1), dataclasses.replace(SMALL, attempts=4)]
+    assert key_of(SMALL, sources) == key_of(SMALL.replace(), dict(sources))
+    others = [SMALL.replace(seed=1), SMALL.replace(max_attempts=4)]
     keys = {key_of(each, sources) for each in [SMALL, *others]} | {
         key_of(SMALL, sources | {"pool": "b"})
     }
     assert len(keys) == 4
     # A pool that lies elsewhere is the same pool: its hash is among the sources.
-    assert key_of(dataclasses.replace(SMALL, pool="copy/of/dining"), sources) == key_of(
-        SMALL, sources
-    )
+    assert key_of(SMALL.replace(pool="copy/of/dining"), sources) == key_of(SMALL, sources)
 
 
 @pytest.mark.parametrize(
@@ -35,7 +32,7 @@ def test_keys_follow_content():
     [
         (SMALL, "dining-table-random-2-objects-5-attempts-8fff4ec1035933495acc.json"),
         (
-            Trial(method="policy", training_seed=1, change="all", min_margin=0.003),
+            Trial.of(method="policy", training_seed=1, change="all", min_margin=0.003),
             "dining-table-policy-seed-1-all-margin-3-mm-10-objects-5-attempts-af446eb5cd85e0ca7df7.json",
         ),
     ],
@@ -66,7 +63,7 @@ def runner(tmp_path_factory):
 
 
 def test_rows_are_kept_with_both_counts(runner):
-    trial = dataclasses.replace(SMALL, paper_count=True, whole_attempts=True)
+    trial = SMALL.replace(paper_count=True, whole_attempts=True)
     row = runner.row(trial)
     assert runner.row(trial) == row == runner.stored_row(trial)
     figures = row["figures"]
@@ -82,13 +79,13 @@ def test_a_row_that_fails_leaves_the_others(tmp_path, monkeypatch):
     make = Runner.make
 
     def fails_on_margin(self, resolved):
-        if resolved.trial.min_margin:
+        if resolved.trial.spec.min_margin:
             raise ConfigError("min_margin here", "none", "another")
         return make(self, resolved)
 
     monkeypatch.setattr(Runner, "make", fails_on_margin)
     runner = Runner(Store(tmp_path))
-    bad = dataclasses.replace(SMALL, min_margin=0.003)
+    bad = SMALL.replace(min_margin=0.003)
     runner.plan([bad, SMALL])
     found = compare(runner, [bad, SMALL], tmp_path)
     assert [row["success"] is None for row in found.rows] == [True, False]
@@ -114,18 +111,13 @@ def test_checkpoints_are_found_by_pool_variant_and_seed(tmp_path):
         (folder / "record.json").write_text(json.dumps(record))
         (folder / "weights.npz").write_bytes(b"weights")
     found = Checkpoints(folder=tmp_path)
-    policy = dataclasses.replace(SMALL, method="policy")
+    policy = SMALL.replace(method="policy")
     assert found.find(policy).path == tmp_path / "dining-policy-0/policy"
-    assert (
-        found.find(dataclasses.replace(policy, training_seed=1)).path
-        == tmp_path / "dining-policy-1/policy"
-    )
-    assert (
-        found.find(dataclasses.replace(policy, method="normal")).path == tmp_path / "dining-normal"
-    )
+    assert found.find(policy.replace(training_seed=1)).path == tmp_path / "dining-policy-1/policy"
+    assert found.find(policy.replace(method="normal")).path == tmp_path / "dining-normal"
     with pytest.raises(MissingCheckpointError):
-        found.find(dataclasses.replace(policy, training_seed=2))
-    other = dataclasses.replace(policy, attempts=2)
+        found.find(policy.replace(training_seed=2))
+    other = policy.replace(max_attempts=2)
     assert found.find(other).path == tmp_path / "dining-policy-0/policy"
     (tmp_path / "dining-policy-0").rename(tmp_path / "dining-policy-attempts2-0")
     assert found.find(other).path == tmp_path / "dining-policy-attempts2-0/policy"

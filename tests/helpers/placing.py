@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.generation.generate import recipe_of
+from cluttergen_jax.generation.recipe import recipe_of
 from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.learning.methods import Method
 from cluttergen_jax.scene.bank import Bank, read_bank
@@ -45,7 +45,7 @@ def with_surface(asset: ObjectAsset) -> ObjectAsset:
 
 def write_bank(path: Path, num_scenes: int = 4, seed: int = 0, is_success: bool = True) -> Bank:
     """Writes a bank of scenes that stand, of the seed's split, or that are said to have failed."""
-    recipe = recipe_of(trio_problem(), Method("made by hand")) | {"seed": seed}
+    recipe = recipe_of(trio_problem(), Method("made by hand"), seed)
     rows = [_row(index, seed) | {"is_success": is_success} for index in range(num_scenes)]
     objects = {asset.name: asset for asset in seen_trio()}
     with banks.writer(path, num_scenes, recipe=recipe, objects=objects) as bank:

@@ -24,7 +24,7 @@ POLICIES = set(LEARNED) - set(FOR_ANY_POOL)
 def planned(trial: Trial) -> PlannedRun:
     """The run that a trial's policy comes from: the paper's are trained with five attempts, whatever they are
     allowed later on."""
-    attempts = trial.attempts if trial.method == "policy" else DEFAULT_ATTEMPTS
+    attempts = trial.spec.max_attempts if trial.method == "policy" else DEFAULT_ATTEMPTS
     return PlannedRun(trial.pool, trial.method, trial.training_seed, attempts)
 
 

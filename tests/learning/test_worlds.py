@@ -12,7 +12,7 @@ from cluttergen_jax.placement.heightmap import HeightMapper
 from cluttergen_jax.placement.methods.baselines import LowestFit
 from cluttergen_jax.placement.problem import ProblemConfig, compose
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout
-from cluttergen_jax.placement.world_geometry import geometry_of, pad_geometry
+from cluttergen_jax.placement.world import geometry_of, pad_geometry
 
 SETS = (("dinner_plate", "soup_can", "mug"), ("cutting_board", "cereal_box", "fork"))
 WIDTH = 6

@@ -1,6 +1,5 @@
 """Studies: what they ask, their tables, findings that are kept, the results page."""
 
-import dataclasses
 import importlib.util
 import json
 
@@ -21,7 +20,7 @@ from studies.running import run_study
 from studies.study import Findings, Scale, Study, each_success, row_of
 from studies.suites import find_suite
 
-SMALL = Trial(num_objects=2, trials=6)
+SMALL = Trial.of(num_objects=2, trials=6)
 PACKAGES = {"pybullet": "pybullet", "drake": "pydrake"}
 
 
@@ -131,9 +130,9 @@ def test_tables_hold_every_row_and_say_quick(name, number, cells):
     if name != "furniture":
         made["paper"] = figures(4, [1, 1, 0, 4])
     rows = [
-        {"trial": dataclasses.asdict(t), "figures": made}
+        {"trial": t.fields(), "figures": made}
         if t.method == "random" or name == "furniture"
-        else {"trial": dataclasses.asdict(t), "missing": "no checkpoint", "hint": "python train.py"}
+        else {"trial": t.fields(), "missing": "no checkpoint", "hint": "python train.py"}
         for t in study.trials
     ]
     result = json.loads(json.dumps(result_of(study, rows)))

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.assets.pool import StoredObjects, find_pool
-from cluttergen_jax.assets.support import Rectangle, recorded_rectangle, recorded_ring
-from cluttergen_jax.config import UNPROPOSED, ContactConfig, StabilityConfig
+from cluttergen_jax.assets.support import Rectangle, recorded_rectangle
+from cluttergen_jax.config import UNPROPOSED
 from cluttergen_jax.errors import BankError
+from cluttergen_jax.generation.recipe import problem_of_recipe
 from cluttergen_jax.learning.methods import Method, choose_method, sampler_of
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint
-from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.methods.table import BASELINES, entry_of
 from cluttergen_jax.placement.problem import ProblemConfig, Setup, Standing, make_setup
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
@@ -24,9 +24,7 @@ from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.placement.shelves import Shelves
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.scene.bank.record import Recipe
 from cluttergen_jax.scene.bank.reference import read_start
-from cluttergen_jax.scene.bank.scene import config_of
 from cluttergen_jax.spec import recorded_method
 
 COMPILING = "compiling where it was not compiled before, which takes about a minute"
@@ -138,7 +136,7 @@ def _read_request(
     recipe = bank.recipe
     try:
         names: Sequence[str] = recipe["names"]
-        config = _problem_config(bank, recipe)
+        config = problem_of_recipe(recipe, bank.path)
         keep_out = [recorded_rectangle(entry) for entry in recipe.get("keep_out", ())]
     except (KeyError, TypeError, ValueError) as error:
         raise _not_recorded(bank, error) from error
@@ -190,20 +188,3 @@ def _equal(recording: Replay, stored: Replay) -> bool:
     ends = {recording.names[i]: recording.poses[i] for i in recording.placed}
     kept = {stored.names[i]: stored.poses[i] for i in stored.placed}
     return set(ends) == set(kept) and all(np.array_equal(ends[name], kept[name]) for name in kept)
-
-
-def _problem_config(bank: Bank, recipe: Recipe) -> ProblemConfig:
-    return ProblemConfig(
-        pool=recipe["pool"],
-        repeat=True,
-        shelf=recipe.get("shelf", 0),
-        weights=tuple((str(name), float(weight)) for name, weight in recipe.get("weights", ())),
-        balance=recipe.get("balance", ""),
-        region=recorded_rectangle(recipe["region"]),
-        polygon=recorded_ring(recipe.get("polygon", ())),
-        is_piled=entry_of(recipe.get("method")).is_whole,
-        engine=recipe.get("engine", "auto"),
-        placement=config_of(PlacementConfig, recipe["placement"], bank.path),
-        stability=config_of(StabilityConfig, recipe["stability"], bank.path),
-        contact=config_of(ContactConfig, recipe["contact"], bank.path),
-    )

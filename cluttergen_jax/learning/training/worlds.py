@@ -19,8 +19,15 @@ from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.heightmap import HeightMapper
 from cluttergen_jax.placement.problem import check_number, region_of
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.world import NUM_COLUMN_SAMPLES, World, columns_of, make_world
-from cluttergen_jax.placement.world_geometry import geometry_of, num_runs_of, pad_geometry
+from cluttergen_jax.placement.world import (
+    NUM_COLUMN_SAMPLES,
+    World,
+    columns_of,
+    geometry_of,
+    make_world,
+    num_runs_of,
+    pad_geometry,
+)
 from cluttergen_jax.progress import track
 
 SET_SIZE = 50

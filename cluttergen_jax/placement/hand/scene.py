@@ -15,7 +15,6 @@ import numpy as np
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.geometry import rotate_in_plane, yaw_quaternion
-from cluttergen_jax.placement.hand.clock import ActiveClock
 from cluttergen_jax.placement.hand.types import Before, Check, Drop, Held, Lowered
 from cluttergen_jax.placement.heightmap import VOID, HeightMapper
 from cluttergen_jax.placement.problem import Setup
@@ -28,7 +27,41 @@ from cluttergen_jax.placement.search.search import CLEARANCE, under_side
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array, Settling, Verdict
 
+IDLE = 60.0
+"""Seconds without any input after which nobody is taken to be at work."""
 _CLEAR = 0.03
+
+
+class ActiveClock:
+    """Seconds of work: it runs from the first input on, and stands still `idle` seconds after the latest.
+
+    Args:
+      now: seconds, from any beginning.
+    """
+
+    def __init__(self, now: Callable[[], float] = time.monotonic, idle: float = IDLE) -> None:
+        self._now = now
+        self._idle = idle
+        self._before = 0.0
+        self._latest = None
+
+    _latest: float | None
+
+    def touch(self) -> None:
+        """There was an input."""
+        self._latest = self._now()
+        self._before = self.seconds
+
+    def stop(self) -> None:
+        """Nothing more counts until the next input."""
+        self._before = self.seconds
+        self._latest = None
+
+    @property
+    def seconds(self) -> float:
+        """So far."""
+        since = 0.0 if self._latest is None else self._now() - self._latest
+        return self._before + min(since, self._idle)
 
 
 class HandError(ClutterGenError):

@@ -27,7 +27,7 @@ Bits = dict[str, str]
 
 
 class Recipe(TypedDict, total=False):
-    """What decides the scenes of a bank (`generation.generate.recipe_of`); old and made-up ones lack some.
+    """What decides the scenes of a bank (`generation.recipe.recipe_of`); old and made-up ones lack some.
 
     `placement`, `stability` and `contact` are the fields of the configs of these names; `region` and
     `keep_out` those of a `Rectangle`. `method_digest` is there where the method was a user's own.
