@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from cluttergen_jax.api.pretrain import pretrain
-from cluttergen_jax.api.train import train, train_suite
+from cluttergen_jax.api.train import pretrain, train, train_suite
 from cluttergen_jax.cli.flags import with_flags
 from cluttergen_jax.cli.options import Options, command
 from cluttergen_jax.config import Suite

@@ -12,14 +12,9 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import Positional, arg
 
-from cluttergen_jax.api.dataset import make_dataset
-from cluttergen_jax.api.export import export
-from cluttergen_jax.api.generate import generate
-from cluttergen_jax.api.hub import holds_policies, pull_bank, pull_policies, push_bank
-from cluttergen_jax.api.place import place_by_hand
-from cluttergen_jax.api.render import render
-from cluttergen_jax.api.repair import repair
-from cluttergen_jax.api.view import view
+from cluttergen_jax.api.export import export, holds_policies, pull_bank, pull_policies, push_bank
+from cluttergen_jax.api.generate import generate, place_by_hand, repair
+from cluttergen_jax.api.render import make_dataset, render, view
 from cluttergen_jax.cli.flags import with_flags
 from cluttergen_jax.cli.options import Options, command
 from cluttergen_jax.errors import ClutterGenError
