@@ -294,7 +294,7 @@ def _inspect_pool(
     if out is None:
         return
     if is_page:
-        from cluttergen_jax.rendering.pool_report import write_pool_report
+        from cluttergen_jax.rendering.assets import write_pool_report
 
         print(write_pool_report(out, pool, assets))
     elif grasps:
