@@ -35,21 +35,15 @@ Every command has a function with the same defaults:
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from cluttergen_jax.api.export import export
-from cluttergen_jax.api.generate import generate
-from cluttergen_jax.api.hub import pull_bank, pull_policies, push_bank
+from cluttergen_jax.api.export import export, pull_bank, pull_policies, push_bank
+from cluttergen_jax.api.generate import generate, place_by_hand, repair
 from cluttergen_jax.api.import_ import import_pool, import_support
-from cluttergen_jax.api.place import place_by_hand
-from cluttergen_jax.api.pretrain import pretrain
-from cluttergen_jax.api.render import render
-from cluttergen_jax.api.repair import repair
-from cluttergen_jax.api.train import train, train_suite
-from cluttergen_jax.api.view import view
+from cluttergen_jax.api.render import make_dataset, render, view
+from cluttergen_jax.api.train import pretrain, train, train_suite
 from cluttergen_jax.judging.api import certify, judge, verify
 from cluttergen_jax.spec import SceneOptions, SceneSpec
 
 if TYPE_CHECKING:
-    from cluttergen_jax.api.dataset import make_dataset
     from cluttergen_jax.assets.pool import find_pool as load_pool
     from cluttergen_jax.assets.pool import list_pools, remove_pool
     from cluttergen_jax.assets.support import Rectangle
@@ -168,7 +162,6 @@ __all__ = [
 # What is in no module of this list is in `generation`.
 _MODULES = {
     "evaluation.api": ("evaluate",),
-    "api.dataset": ("make_dataset",),
     "downstream.environments.api": ("make_robot_env", "scripted_actions"),
     "downstream.environments.randomization": ("RandomizationConfig",),
     "downstream.environments.world": ("RobotWorld", "with_robot"),

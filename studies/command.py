@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cluttergen_jax.cli.evaluate import status_of
+from cluttergen_jax.cli.learning import status_of
 from cluttergen_jax.cli.main import run_words
-from cluttergen_jax.cli.options import Options, options_from
+from cluttergen_jax.cli.options import Options, command
 from studies.api import evaluate_suite
 
 
-@options_from(evaluate_suite)
-class Suite(Options):
+@command(evaluate_suite)
+def run_suite(options: Options) -> int:
     """Make a suite of tables and figures.
 
     Writes Markdown, CSV, LaTeX, JSON and pictures for each study. Every row is kept under `results` in that
@@ -19,17 +19,15 @@ class Suite(Options):
 
     Example: `python evaluate.py --suite paper --quick`
     """
+    from studies.report import markdown
+    from studies.running import num_failed, suite_folder
 
-    def run(self) -> int:
-        from studies.report import markdown
-        from studies.running import num_failed, suite_folder
-
-        results = self.call(evaluate_suite, show=lambda result: print(markdown(result), flush=True))
-        folder = self.out or suite_folder(self.suite, self.quick)
-        print(f"done       {len(results)} studies in {folder}")
-        return status_of(num_failed(results))
+    results = options.call(evaluate_suite, show=lambda result: print(markdown(result), flush=True))
+    folder = options.out or suite_folder(options.suite, options.quick)
+    print(f"done       {len(results)} studies in {folder}")
+    return status_of(num_failed(results))
 
 
 def main(words: Sequence[str]) -> int:
     """Parses the words behind `python evaluate.py` and makes the suite; the exit status."""
-    return run_words(lambda: Suite, "python evaluate.py", words)
+    return run_words(lambda: run_suite.options, "python evaluate.py", words)

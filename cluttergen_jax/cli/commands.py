@@ -39,21 +39,22 @@ COMMANDS = {
     "list": "List pools and their objects, supports, layouts, robots and checkpoints.",
     "doctor": "Show versions, devices, renderers and extras.",
 }
-"""What each command is for: the first line of its class's docstring."""
+"""What each command is for: the first line of its docstring."""
 _MODULES = {
-    "import": "import_",
-    "inspect": "inspect_",
-    "list": "list_",
-    "pull": "hub",
-    "push": "hub",
+    "doctor": ("doctor",),
+    "downstream": ("placer", "perception", "robot", "rearrange"),
+    "import_": ("import",),
+    "learning": ("train", "pretrain", "evaluate"),
+    "pools": ("pool", "inspect", "list"),
 }
+"""Where commands are defined; the others are in `scenes`."""
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 
 
 def load(name: str) -> Any:
-    """The class of a command, whose fields are the options; importing it imports no JAX and no MuJoCo."""
-    return getattr(
-        import_module(f"cluttergen_jax.cli.{_MODULES.get(name, name)}"), name.capitalize()
-    )
+    """The class of a command's options; importing it imports no JAX and no MuJoCo."""
+    module = import_module(f"cluttergen_jax.cli.{_MODULE_OF.get(name, 'scenes')}")
+    return getattr(module, f"run_{name}").options
 
 
 def all_commands() -> Any:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import importlib.util
 import os
 import platform
-from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
-from typing import ClassVar
+
+from cluttergen_jax.cli.options import command
 
 _CORE = (
     "cluttergen_jax",
@@ -41,38 +41,30 @@ _EXTRAS = {
 """The modules that make an extra."""
 
 
-@dataclass(frozen=True)
-class Doctor:
+@command(needs_mujoco=False)
+def run_doctor() -> None:
     """Show versions, devices, renderers and extras.
 
     Example: `cluttergen doctor`
     """
+    import jax
 
-    needs_mujoco: ClassVar[bool] = False
-    """It tells what is wrong where MuJoCo cannot even be imported."""
+    from cluttergen_jax.rendering.gl import renderer_status
 
-    def run(self) -> int:
-        import jax
-
-        from cluttergen_jax.rendering.gl import renderer_status
-
-        print(
-            f"python     {platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores"
+    print(
+        f"python     {platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores"
+    )
+    for name in _CORE:
+        print(f"{name:<15}{_version(name)}")
+    print(f"devices    {', '.join(str(device) for device in jax.devices())}")
+    print(f"rendering  {renderer_status()[1]}")
+    for extra, modules in _EXTRAS.items():
+        missing = [each for each in modules.split() if importlib.util.find_spec(each) is None]
+        state = (
+            "missing" if len(modules.split()) == len(missing) else f"{', '.join(missing)} missing"
         )
-        for name in _CORE:
-            print(f"{name:<15}{_version(name)}")
-        print(f"devices    {', '.join(str(device) for device in jax.devices())}")
-        print(f"rendering  {renderer_status()[1]}")
-        for extra, modules in _EXTRAS.items():
-            missing = [each for each in modules.split() if importlib.util.find_spec(each) is None]
-            state = (
-                "missing"
-                if len(modules.split()) == len(missing)
-                else f"{', '.join(missing)} missing"
-            )
-            hint = f"{state}: pip install 'cluttergen_jax[{extra}]'" if missing else "installed"
-            print(f"extra {extra:<11}{hint}")
-        return 0
+        hint = f"{state}: pip install 'cluttergen_jax[{extra}]'" if missing else "installed"
+        print(f"extra {extra:<11}{hint}")
 
 
 def _version(name: str) -> str:

@@ -12,7 +12,8 @@ from tyro.conf import Positional, arg
 
 from cluttergen_jax.api.import_ import import_pool, import_support
 from cluttergen_jax.cli.flags import with_flags
-from cluttergen_jax.cli.options import Options, options_from
+from cluttergen_jax.cli.options import Options, command
+from cluttergen_jax.cli.pools import pool_table, surface_table
 from cluttergen_jax.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.importing.table_top import LeftOut
 
 
-@options_from(
+@command(
     import_pool,
     import_support,
     sources=Positional[tuple[str, ...]],
@@ -28,50 +29,47 @@ if TYPE_CHECKING:
     path=Annotated[str | None, arg(name="support")],
     licence=Annotated[str, arg(aliases=["--license"])],
 )
-class Import(Options):
+def run_import(options: Options) -> int:
     """Import objects as a pool, or a table: OBJ, STL, PLY, GLB, GLTF, DAE, URDF, SDF, MJCF, or `ycb`.
 
     Example: `cluttergen import my_meshes/ --pool mine --scale 0.001`
     """
-
-    def run(self) -> int:
-        """Runs the command: 0, or 1 if an object could not be imported, or none was."""
-        if self.path is not None:
-            return self._import_support()
-        if self.pool is None or self.name is not None:
-            raise ConfigError(
-                "import with neither --pool nor --support"
-                if self.pool is None
-                else "--name with --pool",
-                "SOURCES --pool NAME for objects, or --support FILE [--name NAME] for a table",
-            )
-        report = self.call(import_pool)
-        print_report(report, Import)
-        return 1 if report.failures or not report.objects else 0
-
-    def _import_support(self) -> int:
-        if self.sources or self.pool is not None:
-            raise ConfigError(
-                "--support together with sources or --pool", "one of them", "two commands"
-            )
-        from cluttergen_jax.assets.support_file import user_supports
-
-        ignored = ("decomposition", "jobs", "time_limit", "progress", "cluster", "workers")
-        hint = "leaving it out: a table is not an object"
-        support = self.call(import_support, "with --support", hint, ignored)
-        x, y = support.region.half_extents
-        parts = f" and {len(support.parts)} convex parts" if support.parts else ""
-        print(
-            f"{user_supports() / support.name}: top at {support.top:.3f} m, "
-            f"made of {len(support.boxes)} boxes{parts}; "
-            f"the queried region is {2 * x:.3f} x {2 * y:.3f} m\nUse it: --support {support.name}"
-        )
-        if len(support.surfaces) > 1:
-            from cluttergen_jax.cli.inspect_ import surface_table
-
-            print(surface_table(support))
-            print(f"See them: cluttergen inspect {support.name} --out {support.name}.png")
+    if options.path is not None:
+        _import_support(options)
         return 0
+    if options.pool is None or options.name is not None:
+        raise ConfigError(
+            "import with neither --pool nor --support"
+            if options.pool is None
+            else "--name with --pool",
+            "SOURCES --pool NAME for objects, or --support FILE [--name NAME] for a table",
+        )
+    report = options.call(import_pool)
+    print_report(report, options)
+    # An object could not be imported, or none was.
+    return 1 if report.failures or not report.objects else 0
+
+
+def _import_support(options: Options) -> None:
+    from cluttergen_jax.assets.support_file import user_supports
+
+    if options.sources or options.pool is not None:
+        raise ConfigError(
+            "--support together with sources or --pool", "one of them", "two commands"
+        )
+    ignored = ("decomposition", "jobs", "time_limit", "progress", "cluster", "workers")
+    hint = "leaving it out: a table is not an object"
+    support = options.call(import_support, "with --support", hint, ignored)
+    x, y = support.region.half_extents
+    parts = f" and {len(support.parts)} convex parts" if support.parts else ""
+    print(
+        f"{user_supports() / support.name}: top at {support.top:.3f} m, "
+        f"made of {len(support.boxes)} boxes{parts}; "
+        f"the queried region is {2 * x:.3f} x {2 * y:.3f} m\nUse it: --support {support.name}"
+    )
+    if len(support.surfaces) > 1:
+        print(surface_table(support))
+        print(f"See them: cluttergen inspect {support.name} --out {support.name}.png")
 
 
 _MOST_DEAR = 3
@@ -83,16 +81,14 @@ _OF_POSES = (
 )
 
 
-def print_report(report: ImportReport, command: Any) -> None:
+def print_report(report: ImportReport, options: Any) -> None:
     """What was made, which axes were taken for up, what was skipped, left out, and what failed, and why.
 
     Args:
-      command: the class of the command, whose flags are named.
+      options: the options of the command, whose flags are named.
     """
-    from cluttergen_jax.cli.pool_table import pool_table
-
     if report.objects:
-        print(with_flags(pool_table(report.objects), command))
+        print(with_flags(pool_table(report.objects), options))
         made = len(report.objects) - report.num_cached
         print(
             f"{report.path}: {len(report.objects)} objects ({made} made, {report.num_cached} from the cache)"
@@ -106,10 +102,10 @@ def print_report(report: ImportReport, command: Any) -> None:
     for (axis, reason), names in _group_rows(
         [(each.axis, each.reason, n) for n, each in report.up_axes.items()]
     ):
-        print(f"up is {axis} ({with_flags(reason, command)}): {names}")
+        print(f"up is {axis} ({with_flags(reason, options)}): {names}")
     if report.objects:
         print(_OF_POSES)
-    print(with_flags(_unused_text(report), command), end="")
+    print(with_flags(_unused_text(report), options), end="")
     pieces = [each for each in report.skipped if each.is_piece]
     if pieces:
         are = "file is a piece" if len(pieces) == 1 else "files are pieces"
@@ -118,14 +114,14 @@ def print_report(report: ImportReport, command: Any) -> None:
     if others:
         print(f"{len(others)} skipped:")
         for (reason,), names in _group_rows([(each.reason, each.name) for each in others]):
-            print(f"  {with_flags(reason, command)}: {names}")
-    print(with_flags(left_out_text(report.left_out), command), end="")
+            print(f"  {with_flags(reason, options)}: {names}")
+    print(with_flags(left_out_text(report.left_out), options), end="")
     if report.failures:
         print(f"{len(report.failures)} failed:", file=sys.stderr)
         for failure in report.failures:
             # A source that could not be found is named in its reason already.
             is_named = failure.reason.startswith(failure.name)
-            reason = with_flags(failure.reason, command)
+            reason = with_flags(failure.reason, options)
             print(f"  {reason if is_named else f'{failure.name}: {reason}'}", file=sys.stderr)
 
 

@@ -1,13 +1,16 @@
-"""Options of a command, made from the signatures and docstrings of the API functions that it calls."""
+"""Commands, whose options are made from the signatures and docstrings of the functions that they call."""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import inspect
+import operator
 import types
 import typing
-from collections.abc import Callable, Sequence
-from typing import Annotated, Any, get_args, get_origin
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, get_args, get_origin
 
 import tyro
 from docstring_parser import parse
@@ -16,17 +19,24 @@ from cluttergen_jax import spec
 from cluttergen_jax.cli.flags import FLAGS, option_help, options_of
 from cluttergen_jax.errors import ConfigError
 
-_WRITTEN = {str: "STR", int: "INT", float: "FLOAT"}
+_WRITTEN = {str: "STR", int: "INT", float: "FLOAT", Path: "PATH"}
 _NO_OPTIONS = ("show", "spec", "planner")
 
 
 class Options:
-    """A frozen dataclass whose fields are arguments of API functions; `run` gives the exit status."""
+    """Options as they were given: frozen dataclasses, whose fields `Command.options` makes."""
+
+    resumes: ClassVar[bool]
+    needs_mujoco: ClassVar[bool]
 
     if typing.TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            """The fields, which `options_from` makes."""
+            """The fields."""
+
+    def run(self) -> int:
+        """Runs the command; the exit status."""
+        raise NotImplementedError
 
     def call(
         self,
@@ -69,55 +79,122 @@ class Options:
         return function(**chosen | changes)
 
 
-def options_from(*functions: Callable[..., Any], **kinds: Any) -> Callable[[type], Any]:
-    """A decorator that gives a command the arguments of functions, with their defaults, as options.
+@dataclasses.dataclass(frozen=True, eq=False)
+class Command:
+    """A command, whose options are the arguments of functions, with their defaults.
 
     What only one of several functions takes, and cannot do without, may be left out on the command line.
 
-    Args:
-      functions: where several take an argument, the first says what it is.
+    Attributes:
+      run: what it does with its options; the exit status, None for 0. Its docstring is the command's help.
+      functions: where several take an argument, the first says what it is. If there are none, the options are
+        the arguments of `run`.
       kinds: types in place of the functions' own, by argument: what is positional, has an alias, or is text
         on the command line alone; and switches that no function takes, each with its help.
+      resumes: whether the same command takes up what was interrupted.
+      needs_mujoco: whether it is refused where MuJoCo cannot be imported.
     """
 
-    def decorate(command: type) -> type:
+    run: Callable[..., int | None]
+    functions: Sequence[Callable[..., Any]]
+    kinds: Mapping[str, Any]
+    resumes: bool
+    needs_mujoco: bool
+
+    @functools.cached_property
+    def options(self) -> type[Options]:
+        """The class of its options."""
         fields: dict[str, tuple[str, Any, Any]] = {}
         docs: dict[str, str] = {}
+        functions = self.functions or (self.run,)
         for function in functions:
             docs = _docs(function) | docs
             for name, parameter in inspect.signature(function).parameters.items():
                 if name not in fields and name not in _NO_OPTIONS:
-                    kind = kinds.get(name) or _as_given(_annotation(parameter, function))
+                    kind = self.kinds.get(name) or _as_given(_annotation(parameter, function))
                     is_needed = all(
                         name in inspect.signature(each).parameters for each in functions
                     )
                     fields[name] = (name, kind, _default(parameter.default, kind, is_needed))
-        for name in kinds.keys() - fields.keys():
-            fields[name] = (name, kinds[name], dataclasses.field(default=False))
+        for name in self.kinds.keys() - fields.keys():
+            fields[name] = (name, self.kinds[name], dataclasses.field(default=False))
         # A dataclass has fields without a default first.
         ordered = sorted(
             fields.values(), key=lambda field: field[2].default is not dataclasses.MISSING
         )
-        made = dataclasses.make_dataclass(
-            command.__name__,
-            ordered,
-            bases=(command,),
-            frozen=True,
-            namespace={"__doc__": command.__doc__},
-        )
+        made = self._class(ordered)
         for field in dataclasses.fields(made):
             if field.name not in docs:
                 continue
+            about = " ".join(docs[field.name].split())
+            may_miss = (None, "", ()) if self.functions else (None,)
             option = tyro.conf.arg(
-                help=option_help(docs[field.name], made),
+                help=option_help(about, made) if self.functions else about,
                 name=FLAGS.get(field.name),
                 metavar=_metavar(field.type),
-                help_behavior_hint="(optional)" if field.default in (None, "", ()) else None,
+                help_behavior_hint="(optional)" if field.default in may_miss else None,
             )
             made.__annotations__[field.name] = field.type = Annotated[field.type, option]
         return made
 
-    return decorate
+    def _class(self, fields: Sequence[Any]) -> type[Options]:
+        def run(options: Options) -> int:
+            done = self.run(options) if self.functions else options.call(self.run)
+            return done or 0
+
+        about = (self.run.__doc__ or "").partition("\n    Args:")[0]
+        return dataclasses.make_dataclass(
+            self.run.__name__,
+            fields,
+            bases=(Options,),
+            frozen=True,
+            namespace={
+                "__doc__": about,
+                "run": run,
+                "resumes": self.resumes,
+                "needs_mujoco": self.needs_mujoco,
+            },
+        )
+
+
+def command(
+    *functions: Callable[..., Any], resumes: bool = True, needs_mujoco: bool = True, **kinds: Any
+) -> Callable[[Callable[..., int | None]], Command]:
+    """A decorator that makes a `Command` of what it does."""
+    return lambda run: Command(run, functions, kinds, resumes, needs_mujoco)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Group:
+    """A command whose second word says which of several is meant.
+
+    Attributes:
+      about: its help.
+      actions: the commands by the second word.
+    """
+
+    about: str
+    actions: Mapping[str, Command]
+
+    @functools.cached_property
+    def options(self) -> type[Options]:
+        """The class of its options: `action`, those of the command that is meant."""
+        kinds = (
+            Annotated[each.options, tyro.conf.subcommand(name)]
+            for name, each in self.actions.items()
+        )
+        return dataclasses.make_dataclass(
+            "Group",
+            [("action", functools.reduce(operator.or_, kinds))],
+            bases=(Options,),
+            frozen=True,
+            namespace={
+                "__doc__": f"{inspect.cleandoc(self.about)}\n\nAttributes:\n  action: what to do.\n",
+                "run": lambda options: options.action.run(),
+                "resumes": True,
+                "needs_mujoco": True,
+            },
+        )
 
 
 def _annotation(parameter: inspect.Parameter, function: Callable[..., Any]) -> Any:

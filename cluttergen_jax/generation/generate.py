@@ -29,7 +29,7 @@ from cluttergen_jax.placement.rollout import blocks_of
 from cluttergen_jax.scene.bank import Bank, BankWriter, read_bank
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.remote import publish_all, url_of
-from cluttergen_jax.scene.bank.totals import ClutterTally, Totals
+from cluttergen_jax.scene.bank.stats import ClutterTally, Totals
 from cluttergen_jax.scene.bank.writer import Objects, names_of
 from cluttergen_jax.spec import SceneSpec
 

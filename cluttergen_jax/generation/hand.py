@@ -29,8 +29,8 @@ from cluttergen_jax.scene.bank import BankWriter, read_bank
 from cluttergen_jax.scene.bank.blocks import StoredBlocks
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.remote import publish_all, url_of
+from cluttergen_jax.scene.bank.stats import totals_of
 from cluttergen_jax.scene.bank.table import BY_HAND, table_of
-from cluttergen_jax.scene.bank.totals import totals_of
 from cluttergen_jax.scene.bank.writer import names_of
 from cluttergen_jax.spec import SceneSpec
 

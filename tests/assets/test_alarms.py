@@ -6,7 +6,7 @@ import pytest
 
 from cluttergen_jax.assets.body import BodyConfig, make_object
 from cluttergen_jax.assets.deviation import size_alarm
-from cluttergen_jax.cli.pool_table import pool_table
+from cluttergen_jax.cli.pools import pool_table
 from cluttergen_jax.importing.readers import read_source
 from tests.helpers.shapes import slab
 

@@ -93,7 +93,7 @@ def test_show_list_and_remove(capsys, monkeypatch):
     assert "chooses no object of pool 'a'" in capsys.readouterr().err
     assert main(["pool", "show", "a", "--page", "2"]) == 2
     assert "Allowed: 1." in capsys.readouterr().err
-    monkeypatch.setattr("cluttergen_jax.cli.pool._PAGE", 1)
+    monkeypatch.setattr("cluttergen_jax.cli.pools._PAGE", 1)
     assert main(["pool", "show", "a", "--page", "2"]) == 0
     out = capsys.readouterr().out
     assert "page 2 of 2" in out

@@ -6,7 +6,7 @@ import pytest
 from cluttergen_jax.assets.body import make_object
 from cluttergen_jax.assets.mass import MassProperties, choose_mass, combine_masses, mass_properties
 from cluttergen_jax.assets.object_files import read_object, write_object
-from cluttergen_jax.cli.pool_table import pool_table
+from cluttergen_jax.cli.pools import pool_table
 from cluttergen_jax.importing.readers import ReadOptions, read_source
 from tests.helpers.shapes import slab
 

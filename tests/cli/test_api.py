@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 
 import cluttergen_jax
-from cluttergen_jax.cli.commands import COMMANDS
+from cluttergen_jax.cli.commands import COMMANDS, load
 from cluttergen_jax.cli.flags import with_flags
-from cluttergen_jax.cli.import_ import Import
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.policies.embedded import list_policies
@@ -136,7 +135,7 @@ def test_python_and_the_command_line_name_what_each_of_them_knows(tmp_path, monk
 def test_flags_stand_for_arguments_and_not_for_what_is_quoted_of_a_file():
     said = 'cup.urdf: <mesh scale="0.1 0.1">, not 1 < 2; `scale` or scale = -1'
     assert (
-        with_flags(said, Import)
+        with_flags(said, load("import"))
         == 'cup.urdf: <mesh scale="0.1 0.1">, not 1 < 2; --scale or --scale -1'
     )
 

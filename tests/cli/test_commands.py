@@ -21,7 +21,7 @@ from cluttergen_jax.learning.training.presets import PRESETS
 from cluttergen_jax.placement.methods.table import LEARNED, METHODS
 from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 from cluttergen_jax.placement.region import REGION_CHANGES
-from cluttergen_jax.scene.export.bank_folder import BANK_FORMATS
+from cluttergen_jax.scene.export.folder import BANK_FORMATS
 from cluttergen_jax.scene.export.formats import FORMATS
 
 HEAVY = {

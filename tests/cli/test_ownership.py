@@ -24,7 +24,7 @@ from cluttergen_jax.generation import hand
 from cluttergen_jax.importing import cache, run, supports
 from cluttergen_jax.kept_folder import FolderLock, lock_beside
 from cluttergen_jax.learning.policies.embedded import pulled_root
-from cluttergen_jax.rendering.viewer.session import _write_new
+from cluttergen_jax.rendering.viewer.viewer import _write_new
 from tests.helpers import banks
 from tests.helpers.imports import made_here
 from tests.helpers.placing import seen_trio, write_bank

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from cluttergen_jax.cli.commands import load
 from cluttergen_jax.cli.flags import error_with_flags
-from cluttergen_jax.cli.generate import Generate
 from cluttergen_jax.errors import BankError, ConfigError, range_text
 from cluttergen_jax.files import writing
 from cluttergen_jax.progress import Progress
@@ -142,7 +142,7 @@ def test_an_option_that_was_not_given_is_said_to_be_so():
     error = ConfigError(
         "batch = 8 with seed = 0 and num_objects = 10 with num_scenes = 5", "seed = 1"
     )
-    text = error_with_flags(error, Generate(seed=0, num_scenes=5))
+    text = error_with_flags(error, load("generate")(seed=0, num_scenes=5))
     assert text == (
         "batch = 8 with --seed 0 (the default) and --num-objects 10 (not given) with --num-scenes 5. "
         "Allowed: --seed 1."

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 import cluttergen_jax as cg
-from cluttergen_jax.api.dataset import parse_splits
+from cluttergen_jax.api.render import parse_splits
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.scene.bank.scene import read_scenes
 from cluttergen_jax.schema import checked_record

@@ -2,14 +2,14 @@
 
 import json
 
-from cluttergen_jax.cli.evaluate import Evaluate
+from cluttergen_jax.cli.commands import load
 from cluttergen_jax.cli.main import run
 
 SUPPORTS = ("table", "round_table")
 
 
 def command(tmp_path, **options):
-    return run(Evaluate(trials=4, out=str(tmp_path), num_objects=2, **options))
+    return run(load("evaluate")(trials=4, out=str(tmp_path), num_objects=2, **options))
 
 
 def test_command_takes_up_what_was_made_before(tmp_path, capsys):

@@ -10,8 +10,7 @@ import trimesh
 from cluttergen_jax.assets.body import BodyConfig
 from cluttergen_jax.assets.config import DecompositionConfig
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.cli.import_ import Import
-from cluttergen_jax.cli.inspect_ import Inspect
+from cluttergen_jax.cli.commands import load
 from cluttergen_jax.errors import BankError, PoolError
 from cluttergen_jax.importing import cache, run
 from cluttergen_jax.importing.job import ObjectConfig
@@ -40,7 +39,9 @@ def tree(tmp_path):
 
 
 def test_a_tree_becomes_a_pool_and_the_failure_is_named(tree, capsys):
-    status = Import(sources=(str(tree),), pool="mine", trials=8, jobs=1, progress=False).run()
+    status = load("import")(
+        sources=(str(tree),), pool="mine", trials=8, jobs=1, progress=False
+    ).run()
     assert status == 1
     out, err = capsys.readouterr()
     assert "shade.obj" in err
@@ -48,7 +49,7 @@ def test_a_tree_becomes_a_pool_and_the_failure_is_named(tree, capsys):
     assert pool.names == ("crate", "cube")
     assert all(asset.quality.solo_rate == 1.0 for asset in pool.objects)
     assert "2 stand alone in 99 % of trials or more" in out
-    assert Inspect("mine").run() == 0
+    assert load("inspect")("mine").run() == 0
     assert "crate" in capsys.readouterr().out
 
 

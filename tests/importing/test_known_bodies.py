@@ -18,7 +18,7 @@ from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.pool import EMBEDDED, embedded_root, find_pool, read_pool, user_root
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.scene.export.molmospaces import asset_json
-from cluttergen_jax.scene.export.simready import metadata
+from cluttergen_jax.scene.export.usd import metadata
 from cluttergen_jax.schema import checked_record, with_checksum
 from tests.helpers.imports import made_here
 

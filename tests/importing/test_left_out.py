@@ -11,7 +11,8 @@ from cluttergen_jax.assets.deviation import gap_alarm
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.assets.solid import solid_of
-from cluttergen_jax.cli.import_ import Import, print_report
+from cluttergen_jax.cli.commands import load
+from cluttergen_jax.cli.import_ import print_report
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.importing import job, run
 from cluttergen_jax.importing.job import ObjectConfig, make_job
@@ -167,7 +168,7 @@ def test_what_is_too_large_is_told_in_one_block(quick_import, capsys):
     report = import_sources([folder], "t", CONFIG)
     assert [each.name for each in report.objects] == ["small_0", "small_1", "small_2"]
     assert not report.failures
-    print_report(report, Import)
+    print_report(report, load("import"))
     block = capsys.readouterr().out.partition("2 left out")[2]
     assert all(
         word in block

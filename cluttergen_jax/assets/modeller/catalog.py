@@ -7,15 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from cluttergen_jax.assets.modeller import (
-    computing,
     containers,
-    cookware,
-    curios,
-    gadgets,
+    electronics,
     homeware,
-    organizers,
+    kitchenware,
     stationery,
-    tableware,
 )
 from cluttergen_jax.assets.modeller.draw import Family
 from cluttergen_jax.assets.shape import Shape
@@ -25,50 +21,61 @@ _POOLS: dict[str, tuple[Family, ...]] = {
     # What stands on a laid table.
     "dining": (
         *(
-            tableware.mug,
-            tableware.bowl,
-            tableware.dinner_plate,
-            tableware.water_glass,
-            tableware.wine_glass,
+            kitchenware.mug,
+            kitchenware.bowl,
+            kitchenware.dinner_plate,
+            kitchenware.water_glass,
+            kitchenware.wine_glass,
         ),
         *(
             containers.bottle,
             containers.soup_can,
             containers.cereal_box,
-            tableware.pepper_mill,
-            cookware.fork,
+            kitchenware.pepper_mill,
+            kitchenware.fork,
         ),
     ),
     # What lies on a worktop.
     "kitchen": (
-        *(cookware.pot, cookware.frying_pan, tableware.teapot, cookware.colander, cookware.toaster),
+        *(
+            kitchenware.pot,
+            kitchenware.frying_pan,
+            kitchenware.teapot,
+            kitchenware.colander,
+            kitchenware.toaster,
+        ),
         *(containers.jar, containers.milk_carton),
-        *(cookware.knife, cookware.wooden_spoon, cookware.cutting_board),
+        *(kitchenware.knife, kitchenware.wooden_spoon, kitchenware.cutting_board),
     ),
     # What stands about on a study's desk.
     "study": (
         *(
             stationery.hardback_book,
-            curios.desk_lamp,
-            gadgets.alarm_clock,
-            gadgets.camera,
-            curios.globe,
+            homeware.desk_lamp,
+            electronics.alarm_clock,
+            electronics.camera,
+            homeware.globe,
         ),
         *(
-            computing.laptop,
-            computing.mouse,
+            electronics.laptop,
+            electronics.mouse,
             stationery.stapler,
-            curios.eyeglasses,
-            organizers.pencil_cup,
+            homeware.eyeglasses,
+            containers.pencil_cup,
         ),
     ),
     # What is worked with at a desk.
     "office": (
-        *(computing.keyboard, computing.calculator, stationery.tape_dispenser, stationery.scissors),
         *(
-            organizers.pen_holder,
-            computing.desk_phone,
-            organizers.letter_tray,
+            electronics.keyboard,
+            electronics.calculator,
+            stationery.tape_dispenser,
+            stationery.scissors,
+        ),
+        *(
+            containers.pen_holder,
+            electronics.desk_phone,
+            containers.letter_tray,
             stationery.hole_punch,
         ),
         *(stationery.sticky_notes, stationery.ring_binder),
@@ -79,10 +86,15 @@ _POOLS: dict[str, tuple[Family, ...]] = {
             homeware.tissue_box,
             homeware.tape_roll,
             homeware.spray_bottle,
-            curios.candle,
+            homeware.candle,
             homeware.flower_pot,
         ),
-        *(gadgets.remote_control, curios.toy_car, homeware.soap_dispenser, curios.photo_frame),
+        *(
+            electronics.remote_control,
+            homeware.toy_car,
+            homeware.soap_dispenser,
+            homeware.photo_frame,
+        ),
         homeware.basket,
     ),
 }

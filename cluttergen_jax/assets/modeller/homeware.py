@@ -1,4 +1,4 @@
-"""About the house: spray bottle, soap dispenser, tissue box, roll of tape, flower pot, basket."""
+"""About the house: soap dispenser, tissue box, flower pot, desk lamp, globe, candle, toys."""
 
 from __future__ import annotations
 
@@ -326,3 +326,413 @@ def _weave(tub: Crate, top: float, rows: int = 7) -> Manifold:
                 ends = [(1 - shares) * ring[wall] + shares * ring[(wall + 1) % 4] for ring in rings]
                 strands.append(cad.hull(np.concatenate(ends)))
     return cad.union(*strands)
+
+
+WARM = (1.0, 0.93, 0.66)
+
+
+def desk_lamp(rng: Rng = None) -> Shape:
+    """A jointed lamp on a heavy round foot, its shade looking down to the front (-x)."""
+    size = vary(rng, 1.0, 0.10)
+    radius = 0.088 * size
+    lean = vary(rng, 0.075, 0.25) * size
+    foot = (0.020 * size, 0.0, 0.016 * size)
+    elbow = (lean, 0.0, vary(rng, 0.225, 0.12) * size)
+    head = (elbow[0] - 0.110 * size, 0.0, elbow[2] + vary(rng, 0.115, 0.2) * size)
+    mouth = 0.058 * size
+    depth = 0.085 * size
+    pitch = vary(rng, 28.0, 0.3)
+    # The shade is drawn hanging from the origin, then pitched so that its mouth looks to the front.
+    outline = [(0.019 * size, 0.0), (mouth, -depth)]
+    shell = [*outline, (mouth - 0.002, -depth), (0.017 * size, -0.003), (0.0, -0.003), (0.0, 0.0)]
+    shade_solid = cad.union(
+        cad.revolve(shell[::-1]), cad.cylinder(0.019 * size, 0.018 * size, top=0.012 * size)
+    )
+    glow = cad.cylinder(mouth * 0.97 - 0.004, 0.004, z=-depth + 0.004)
+    shroud = (
+        cad.cylinder(mouth, depth, z=-depth, top=0.019 * size).rotate((0, pitch, 0)).translate(head)
+    )
+    arms = (
+        cad.union(*[cad.tube([a, b], 0.0065 * size) for a, b in ((foot, elbow), (elbow, head))])
+        - shroud
+    )
+    joints = cad.union(*[_hinge(point, 0.013 * size) for point in (foot, elbow, head)]) - shroud
+    color = shade(rng, (rgb.CRIMSON, rgb.TEAL, rgb.CHARCOAL, *rgb.BRIGHT))
+    base = [(radius, 0.0), (radius, 0.010 * size), (radius * 0.72, 0.020 * size)]
+    parts = [
+        part.disc([(radius, 0.0), (0.86 * radius, 0.020 * size)], 14, is_standing=True),
+        *part.sweep([foot, elbow], 0.008 * size),
+        *part.sweep([elbow, head], 0.008 * size),
+        part.rotate_part(
+            part.disc([(mouth, -depth), (0.019 * size, 0.012 * size)], 14), (0, pitch, 0), head
+        ),
+    ]
+    return assemble(
+        name="desk_lamp",
+        pieces=(
+            (cad.revolve([(0, 0), *base, (0, 0.020 * size)]), color),
+            (arms, shade(rng, (rgb.SILVER, rgb.GOLD, rgb.CHARCOAL))),
+            (joints, rgb.BLACK),
+            (shade_solid.rotate((0, pitch, 0)).translate(head), color),
+            (glow.rotate((0, pitch, 0)).translate(head), WARM),
+        ),
+        parts=tuple(parts),
+        mass=vary(rng, 1.4, 0.2),
+    )
+
+
+def _hinge(center: tuple[float, float, float], radius: float) -> Manifold:
+    """A short pin across the arm, along y."""
+    pin = cad.cylinder(radius, 1.7 * radius, z=-0.85 * radius, segments=24)
+    return pin.rotate((90, 0, 0)).translate(center)
+
+
+def candle(rng: Rng = None) -> Shape:
+    """A burning candle in a chamberstick: a dish with a socket and a finger ring."""
+    radius = vary(rng, 0.019, 0.12)
+    height = vary(rng, 0.115, 0.25)
+    dish = vary(rng, 0.058, 0.12)
+    lip = 0.012
+    floor = 0.006
+    saucer = [
+        (0.0, 0.0),
+        (0.72 * dish, 0.0),
+        (dish, lip),
+        (dish - 0.003, lip + 0.001),
+        (0.68 * dish, floor),
+    ]
+    socket = [(0.0, 0.0), (radius + 0.004, 0.0), (radius + 0.005, 0.022), (0.0, 0.022)]
+    turns = np.linspace(0.0, 2 * np.pi, 25)[:-1]
+    reach = dish + 0.010
+    ring = 0.014
+    bar = 0.0035
+    loop = cad.revolve(cad.ellipse(bar, bar, 10) + np.array([ring, 0.0]), 32)
+    loop = loop.rotate((90, 0, 0)).translate((reach, 0, lip + 0.007))
+    wax = cad.union(cad.cylinder(radius, height, z=floor), *_drips(rng, radius, floor + height))
+    wick_top = floor + height + 0.010
+    stations = np.array([0.0, 0.12, 0.3, 0.5, 0.75, 1.0])
+    flame = cad.sweep(
+        [(0.0, 0.0, wick_top - 0.006 + 0.030 * s) for s in stations],
+        cad.ellipse(0.008, 0.008, 20),
+        scales=[0.35, 0.8, 1.0, 0.85, 0.42, 0.03],
+    )
+    square = [(ring + bar, -bar), (ring + bar, bar), (ring - bar, bar), (ring - bar, -bar)]
+    cells = [
+        part.rotate_part(cell, (90, 0, 0), (reach, 0, lip + 0.007))
+        for cell in part.ring_sectors([(r * 1.08, z) for r, z in square], 5, phase=turns[6])
+    ]
+    metal = cad.union(cad.revolve([*saucer, (0.0, floor)]), cad.revolve(socket), loop)
+    return assemble(
+        name="candle",
+        label="candle in a holder",
+        pieces=(
+            (
+                metal - cad.cylinder(radius, 0.1, z=floor),
+                shade(rng, (rgb.GOLD, rgb.TEAL, rgb.SILVER, rgb.CRIMSON)),
+            ),
+            (wax, shade(rng, (rgb.CREAM, rgb.WHITE, rgb.PINK, rgb.CRIMSON))),
+            (cad.cylinder(0.0012, 0.012, z=floor + height, segments=10), rgb.BLACK),
+            (flame, shade(rng, (rgb.ORANGE,))),
+            (
+                flame.scale((1.02, 1.02, 1.0)).trim_by_plane((0, 0, -1), -wick_top - 0.002),
+                rgb.YELLOW,
+            ),
+        ),
+        parts=(
+            part.disc([(0.72 * dish, 0.0), (dish, lip)], 14, is_standing=True),
+            part.disc([(radius, 0.002), (radius, floor + height)], 12),
+            part.disc(
+                [(0.007, wick_top), (0.0, wick_top + 0.024), (0.0, floor + height - 0.002)], 8
+            ),
+            *cells,
+        ),
+        mass=vary(rng, 0.30, 0.2),
+    )
+
+
+def _drips(rng: Rng, radius: float, top: float) -> list[Manifold]:
+    """Runs of wax down from the edge of the candle."""
+    angles = (0.3, 1.9, 3.0, 4.6, 5.4) if rng is None else rng.uniform(0, 2 * np.pi, 5)
+    lengths = (0.022, 0.034, 0.016, 0.028, 0.018)
+    drips = []
+    for angle, length in zip(angles, lengths, strict=True):
+        x = (radius - 0.0005) * np.cos(angle)
+        y = (radius - 0.0005) * np.sin(angle)
+        run = [(x, y, top - 0.001), (x, y, top - length / 2), (x, y, top - length)]
+        drips.append(cad.tube(run, 0.003, side=(1, 0, 0), scales=[0.7, 0.8, 1.0], segments=10))
+    return drips
+
+
+# Rough outlines of the continents, each a few convex patches of (longitude, latitude) in degrees.
+LAND = (
+    ((-165, 65), (-140, 70), (-95, 72), (-80, 62), (-58, 51), (-70, 42), (-125, 48), (-150, 60)),
+    ((-125, 48), (-70, 45), (-75, 36), (-82, 27), (-97, 24), (-110, 24), (-120, 34)),
+    ((-112, 28), (-97, 26), (-88, 17), (-78, 8), (-84, 10), (-104, 19)),
+    ((-55, 80), (-25, 82), (-22, 70), (-43, 60), (-53, 68)),
+    ((-80, 7), (-62, 11), (-50, 1), (-35, -7), (-40, -21), (-55, -33), (-71, -22), (-81, -5)),
+    ((-71, -20), (-52, -30), (-64, -42), (-68, -54), (-74, -50)),
+    (
+        (-17, 15),
+        (-16, 25),
+        (-6, 35),
+        (10, 37),
+        (32, 31),
+        (43, 12),
+        (51, 11),
+        (40, 2),
+        (9, 3),
+        (-9, 5),
+    ),
+    ((9, 4), (42, 2), (40, -15), (32, -28), (20, -35), (13, -18)),
+    ((-9, 37), (-9, 43), (2, 50), (10, 57), (30, 68), (40, 60), (40, 47), (28, 38)),
+    ((5, 59), (12, 56), (30, 62), (40, 67), (26, 71), (14, 66)),
+    ((36, 66), (75, 73), (105, 77), (140, 73), (178, 67), (160, 60), (135, 45), (60, 40), (40, 45)),
+    ((45, 42), (60, 26), (75, 22), (105, 20), (121, 30), (135, 46), (75, 55)),
+    ((66, 25), (88, 23), (80, 10), (76, 9)),
+    ((35, 31), (48, 31), (59, 22), (45, 12)),
+    ((95, 23), (109, 21), (107, 9), (101, 2)),
+    ((114, -22), (130, -12), (142, -11), (153, -27), (147, -38), (130, -32), (115, -34)),
+    ((96, 4), (118, 6), (117, -4), (105, -7)),
+)
+
+GROUND = (rgb.GREEN, (0.83, 0.72, 0.45), (0.62, 0.66, 0.33))
+
+
+def globe(rng: Rng = None) -> Shape:
+    """A terrestrial globe, its axis tilted in a half ring on a round foot."""
+    radius = vary(rng, 0.082, 0.15)
+    foot = 0.86 * radius
+    middle = 2.05 * radius
+    sea = shade(rng, (rgb.BLUE, rgb.NAVY, rgb.SKY))
+    spin = (0.0, 0.0, -65.0 if rng is None else float(rng.uniform(0, 360)))
+    tilt = (0.0, 23.4, 0.0)
+    at = (0.0, 0.0, middle)
+    skin = Manifold.sphere(radius, 64) - Manifold.sphere(radius - 0.003, 48)
+    film = Manifold.sphere(radius + 0.0007, 96) - Manifold.sphere(radius - 0.0012, 48)
+    caps = cad.union(*[cad.box((1, 1, 1), z=z) for z in (0.955 * radius, -1 - 0.93 * radius)])
+    land = (cad.union(*[_cone(patch, 3 * radius) for patch in LAND]) ^ film).rotate(spin) - caps
+    ice = (Manifold.sphere(radius + 0.0012, 96) - Manifold.sphere(radius - 0.0018, 48)) ^ caps
+    reach = radius + 0.008
+    bar = 0.0045
+    turns = np.radians(np.linspace(-90, 90, 25))
+    arc = np.column_stack([reach * np.cos(turns), 0 * turns, reach * np.sin(turns)])
+    ring = cad.tube(arc, bar)
+    pins = cad.union(
+        *[cad.cylinder(0.003, 0.014, z=z, segments=16) for z in (radius - 0.002, -radius - 0.012)]
+    )
+    lowest = middle - reach
+    base = [(0.0, 0.0), (foot, 0.0), (foot, 0.008), (0.35 * foot, 0.020), (0.0, 0.020)]
+    neck = lowest - bar + 0.003
+    stem = [(0.0, 0.014), (0.020, 0.014), (0.009, 0.030), (0.007, neck), (0.0, neck)]
+    brass = shade(rng, (rgb.GOLD, rgb.SILVER, rgb.STEEL))
+    coarse = np.radians(np.linspace(-90, 90, 6))
+    bow = np.column_stack(
+        [1.03 * reach * np.cos(coarse), 0 * coarse, 1.03 * reach * np.sin(coarse)]
+    )
+    return assemble(
+        name="globe",
+        pieces=(
+            (skin.rotate(tilt).translate(at), sea),
+            ((land - ice).rotate(tilt).translate(at), shade(rng, GROUND)),
+            (ice.rotate(tilt).translate(at), rgb.WHITE),
+            (cad.union(ring, pins).rotate(tilt).translate(at), brass),
+            (
+                cad.union(cad.revolve(base), cad.revolve(stem)),
+                shade(rng, (rgb.DARK_WOOD, rgb.WOOD, rgb.CHARCOAL)),
+            ),
+        ),
+        parts=(
+            part.disc([(foot, 0.0), (0.62 * foot, 0.018)], 14, is_standing=True),
+            part.disc([(0.012, 0.010), (0.008, lowest)], 6),
+            part.ball(radius, at),
+            *[part.rotate_part(cell, tilt, at) for cell in part.sweep(bow, bar)],
+        ),
+        mass=vary(rng, 0.65, 0.2),
+    )
+
+
+def _cone(patch: tuple[tuple[float, float], ...], reach: float) -> Manifold:
+    """All that lies behind a patch of the sphere, as seen from its centre."""
+    lon, lat = np.radians(np.array(patch, np.float64)).T
+    rays = np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+    return cad.hull(np.concatenate([reach * rays, np.zeros((1, 3))]))
+
+
+def eyeglasses(rng: Rng = None) -> Shape:
+    """A pair of glasses with open temples, resting on rims and tips, lenses towards -y."""
+    lens = (vary(rng, 0.052, 0.08), vary(rng, 0.042, 0.12))
+    rim = 0.0045
+    deep = 0.006
+    gap = 0.0085
+    reach = vary(rng, 0.125, 0.06)
+    size = (lens[0] + 2 * rim, lens[1] + 2 * rim)
+    middle = (size[0] / 2 + gap, size[1] / 2)
+    corner = choose(rng, (0.014, 0.006, 0.019))
+    outline = cad.rounded_rect(*size, corner + rim)
+    coarse = cad.rounded_rect(*size, corner + rim, 2)
+    pane = cad.rounded_rect(*lens, corner)
+    rims = []
+    panes = []
+    parts = []
+    for side in (-1, 1):
+        shift = np.array([side * middle[0], middle[1]])
+        rims.append(cad.upright(outline + shift, deep) - cad.upright(pane + shift, 1.0))
+        panes.append(cad.upright(pane + shift, 0.002))
+        parts.append(part.upright(coarse + shift, deep))
+        hinge = middle[0] + size[0] / 2 - 0.004
+        tall = 0.0045
+        top = 0.78 * size[1]
+        # Three stations of a temple: hinge, the bend behind the ear, the tip with its flat foot.
+        stations = [
+            (hinge, -0.003, top),
+            (hinge + 0.004, 0.72 * reach, top),
+            (hinge + 0.002, reach, tall),
+        ]
+        corners = [(w, h) for w in (-0.0025, 0.0025) for h in (-tall, tall)]
+        sections = [[(side * (x + w), y, z + h) for w, h in corners] for x, y, z in stations]
+        foot = [(x, y + 0.008, z) for x, y, z in sections[2]]
+        cells = [sections[0] + sections[1], sections[1] + sections[2] + foot]
+        rims += [cad.hull(cell) for cell in cells]
+        parts += [part.hull(cell) for cell in cells]
+    bridge = ((2 * gap + 0.006, deep - 0.001, 0.006), (0, 0), 0.62 * size[1])
+    frame = cad.union(*rims, cad.box(*bridge))
+    tint = shade(rng, (rgb.SKY, (0.25, 0.27, 0.30), (0.55, 0.40, 0.25)))
+    return assemble(
+        name="eyeglasses",
+        pieces=(
+            (frame, shade(rng, (rgb.BLACK, rgb.CRIMSON, rgb.DARK_WOOD, rgb.NAVY))),
+            (cad.union(*panes) - frame, tint, 0.45),
+        ),
+        parts=(*parts, part.box(*bridge)),
+        mass=vary(rng, 0.035, 0.2),
+    )
+
+
+def toy_car(rng: Rng = None) -> Shape:
+    """A wooden toy car on wheels with flat treads, its bonnet towards -x."""
+    length = vary(rng, 0.140, 0.12)
+    width = vary(rng, 0.062, 0.1)
+    waist = vary(rng, 0.046, 0.08)
+    wheel = min(vary(rng, 0.0195, 0.1), 0.43 * waist)
+    nose = -length / 2
+    tail = length / 2
+    low = 0.012
+    body = [(nose + 0.004, low), (tail - 0.004, low), (tail, 0.7 * waist), (tail - 0.008, waist)]
+    body += [(nose + 0.012, 0.86 * waist), (nose, 0.6 * waist)]
+    roof = waist + vary(rng, 0.026, 0.15)
+    cabin = [(nose + 0.30 * length, 0.78 * waist), (tail - 0.10 * length, 0.78 * waist)]
+    cabin += [(tail - 0.20 * length, roof), (nose + 0.44 * length, roof)]
+    glazed = np.maximum(cabin, (-1.0, waist - 0.004))
+    middle = np.mean(glazed, axis=0)
+    panes = middle + (glazed - middle) * (0.74, 0.62)
+    post = cad.box((0.006, 1, 1), (middle[0], 0))
+    glass = cad.union(
+        cad.upright(panes, 0.86 * width + 0.0016) - cad.upright(panes, 0.86 * width - 0.001) - post
+    )
+    shield = [(0.55, 0.18), (0.55, 0.82)]
+    front, rear = (
+        (_along(cabin[a], cabin[b], waist), np.array(cabin[b])) for a, b in ((0, 3), (1, 2))
+    )
+    for bottom, top in (front, rear):
+        across = np.array([bottom + (top - bottom) * share for _, share in shield])
+        outline = [(x + dx, z) for x, z in across for dx in (-0.0012, 0.0012)]
+        glass += cad.hull(part.upright(outline, 0.66 * width).vertices)
+    # The wheels are cut flat at the table: a twelve-sided tread with one side down.
+    axle = wheel * np.cos(np.pi / 12)
+    hubs = [nose + 0.23 * length, tail - 0.23 * length]
+    places = [(x, s * (width / 2 - 0.002)) for x in hubs for s in (-1, 1)]
+    tread = 0.014
+    tyres = [cad.above(cad.facing(wheel, tread).translate((x, y, axle))) for x, y in places]
+    caps = [cad.facing(0.5 * wheel, tread + 0.002).translate((x, y, axle)) for x, y in places]
+    lamp = cad.facing(0.0055, 0.003).rotate((0, 0, 90))
+    lamps = cad.union(
+        *[lamp.translate((nose + 0.0015, s * 0.3 * width, 0.62 * waist)) for s in (-1, 1)]
+    )
+    shell = cad.union(cad.upright(body, width), cad.upright(cabin, 0.86 * width))
+    paint = shade(rng, (rgb.RED, *rgb.BRIGHT))
+    roller = part.rotate_part(
+        part.disc([(wheel, -tread / 2), (wheel, tread / 2)], 12, np.pi / 12), (90, 0, 0)
+    )
+    rollers = [part.rotate_part(roller, (0, 0, 0), (x, y, axle)) for x, y in places]
+    return assemble(
+        name="toy_car",
+        pieces=(
+            (shell, paint),
+            (glass, rgb.SKY),
+            (cad.union(*tyres) - shell, rgb.BLACK),
+            (cad.union(*caps) - cad.union(*tyres) - shell, rgb.STEEL),
+            (lamps - shell, rgb.YELLOW),
+        ),
+        parts=(
+            part.upright(body, width),
+            part.upright(cabin, 0.86 * width),
+            *rollers,
+        ),
+        mass=vary(rng, 0.20, 0.25),
+    )
+
+
+def photo_frame(rng: Rng = None) -> Shape:
+    """A picture frame leaning back on its strut, the picture towards -y."""
+    width = vary(rng, 0.150, 0.12)
+    height = vary(rng, 0.195, 0.12)
+    lean = vary(rng, 15.0, 0.2)
+    thick = 0.014
+    border = vary(rng, 0.016, 0.2)
+    turn = (-lean, 0.0, 0.0)
+    sink = -0.006
+
+    def leaning(solid: Manifold) -> Manifold:
+        return cad.above(solid.rotate(turn).translate((0, 0, sink)))
+
+    rim = cad.box((width, thick, height), (0, thick / 2))
+    inside = (width - 2 * border, height - 2 * border)
+    rim_open = rim - cad.box((inside[0], 0.006, inside[1]), (0, 0.0), border)
+    mat = cad.box((inside[0] - 0.0005, 0.0015, inside[1] - 0.0005), (0, 0.0026), border + 0.0002)
+    view = (inside[0] - 0.024, inside[1] - 0.030)
+    low = border + 0.015
+    left = -view[0] / 2
+    sky = cad.upright(
+        [(left, low), (-left, low), (-left, low + view[1]), (left, low + view[1])], 0.001, 0.0014
+    )
+    share = 0.30 if rng is None else float(rng.uniform(0.2, 0.45))
+    hills = []
+    for y, skyline in ((0.0010, (0.30, share + 0.28, 0.22)), (0.0006, (0.10, share, 0.24))):
+        peak = (0.2 if y > 0.0008 else -0.2) * view[0]
+        outline = [
+            (left, 0),
+            (-left, 0),
+            *zip((-left, peak, left), view[1] * np.array(skyline), strict=True),
+        ]
+        hills.append(cad.upright(np.add(outline, (0, low)), 0.001, y))
+    sun = cad.cylinder(0.13 * view[0], 0.001).rotate((90, 0, 0))
+    sun = sun.translate((-0.24 * view[0], 0.0010, low + 0.76 * view[1]))
+    scene = ((sky, rgb.SKY), (hills[0], rgb.NAVY), (hills[1], rgb.GREEN), (sun, rgb.YELLOW))
+    slope = np.tan(np.radians(lean))
+    top = 0.66 * height
+    heel = top * slope + thick / np.cos(np.radians(lean))
+    far_foot = heel + vary(rng, 0.058, 0.15)
+    edge = ((heel - 0.004, top), (heel + 0.001, top - 0.002))
+    strut = [(s * 0.022, y, z) for s in (-1, 1) for y, z in edge]
+    strut += [(s * 0.030, y, 0.0) for s in (-1, 1) for y in (far_foot - 0.008, far_foot)]
+    back = leaning(rim)
+    return assemble(
+        name="photo_frame",
+        pieces=(
+            (
+                leaning(rim_open),
+                shade(rng, (rgb.DARK_WOOD, rgb.WOOD, rgb.GOLD, rgb.BLACK, rgb.WHITE, rgb.SILVER)),
+            ),
+            (leaning(mat), rgb.WHITE),
+            *[(leaning(solid), color) for solid, color in scene],
+            (cad.hull(strut) - back, rgb.BLACK),
+        ),
+        parts=(part.corners_of(back), part.hull(strut)),
+        mass=vary(rng, 0.35, 0.2),
+    )
+
+
+def _along(low: tuple[float, float], high: tuple[float, float], z: float) -> np.ndarray:
+    """The point (x, z) at a height on the line between two points."""
+    share = (z - low[1]) / (high[1] - low[1])
+    return (1 - share) * np.array(low) + share * np.array(high)

@@ -2,6 +2,6 @@
 making them by hand (`PlacingPanel`).
 
 source: where scenes come from, and go to. scene_nodes: what the browser draws. words: what is said of them.
-guard: the web server, and who is let in. viewer: all browsers, and MuJoCo's viewer. session: one browser, its
-panel and what its buttons do. placing: the panel for making scenes by hand.
+guard: the web server, and who is let in. viewer: all browsers, the panel of each, and MuJoCo's own viewer.
+placing: the panel for making scenes by hand.
 """

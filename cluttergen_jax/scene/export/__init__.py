@@ -6,8 +6,7 @@ of file each (MJCF is `scene.xml`). simready: what USD objects say of themselves
 ManiSkill's included. meshes, frames: what they share. scripts: data, not code: loaders that travel along.
 """
 
-from cluttergen_jax.scene.export.bank_folder import BANK_FORMATS, export_bank
-from cluttergen_jax.scene.export.folder import export_scenes
+from cluttergen_jax.scene.export.folder import BANK_FORMATS, export_bank, export_scenes
 from cluttergen_jax.scene.export.formats import FORMATS, Format, register_format
 
 __all__ = ["BANK_FORMATS", "FORMATS", "Format", "export_bank", "export_scenes", "register_format"]

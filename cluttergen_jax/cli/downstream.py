@@ -1,0 +1,163 @@
+"""The commands about what scenes are for: placers, perception, a robot arm."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from tyro.conf import Positional
+
+from cluttergen_jax.cli.options import Group, Options, command
+from cluttergen_jax.downstream.perception.api import (
+    perception_data,
+    perception_eval,
+    perception_train,
+)
+from cluttergen_jax.downstream.placer.api import placer_data, placer_eval, placer_train
+from cluttergen_jax.downstream.rearrange.api import rearrange
+from cluttergen_jax.downstream.robot.api import grasp_dataset, robot_grasps, robot_place
+from cluttergen_jax.downstream.words import RobotObserver
+from cluttergen_jax.errors import ConfigError
+
+
+@command(placer_data, bank=Positional[str | None])  # type: ignore[misc]
+def make_pairs(options: Options) -> None:
+    """Make pairs to learn stable placement from. Rerun to resume.
+
+    A pair is one depth image of the first objects of a scene, the true pose of the next object, and 32
+    labelled candidate poses.
+
+    Example: `cluttergen placer data --num-scenes 500 --pool household --out pairs`
+    """
+    pairs = options.call(placer_data)
+    for split in pairs.splits:
+        print(f"pairs      {pairs.split(split)['num_pairs']} of {split} in {pairs.path}")
+
+
+@command(placer_train, data=Positional[tuple[str, ...]])
+def train_placer(options: Options) -> None:
+    """Train a placer on pairs. Rerun to resume.
+
+    Example: `cluttergen placer train pairs --head scored --out runs/placer`
+    """
+    if not options.data:
+        raise ConfigError("no folder of pairs", "one or more", "cluttergen placer train pairs")
+    options.call(placer_train)
+
+
+@command(placer_eval, data=Positional[str], placers=tuple[str, ...])
+def compare_placers(options: Options) -> None:
+    """Compare placers: the success rate of their proposals, strictly judged.
+
+    Every row is kept under `results` in the folder `--out`: rerun to resume.
+
+    Example: `cluttergen placer eval pairs --placers random geometry --noise 0 1`
+    """
+    print(options.call(placer_eval, out=options.out or "out/placer"))
+
+
+run_placer = Group(
+    """Stable placement from one camera's view: `placer data`, `placer train` and `placer eval`.
+
+    Example: `cluttergen placer data --num-scenes 500 --pool household --out pairs`
+    """,
+    {"data": make_pairs, "train": train_placer, "eval": compare_placers},
+)
+
+
+@command(perception_data)
+def make_views(options: Options) -> None:
+    """Render views of scenes to train and judge perception with. Rerun to resume.
+
+    Example: `cluttergen perception data --pool household --num-views 6000 --out views`
+    """
+    views = options.call(perception_data)
+    for split in views.splits:
+        print(f"views      {views.split(split)['num_views']} of {split} in {views.path}")
+
+
+@command(perception_train, data=Positional[str])
+def train_segmenter(options: Options) -> None:
+    """Train a segmenter on views. Rerun to resume.
+
+    Example: `cluttergen perception train views --out runs/segmenter`
+    """
+    options.call(perception_train)
+
+
+@command(perception_eval, data=Positional[str])
+def judge_perception(options: Options) -> None:
+    """Judge masks, poses and certainty against what is true (extra `perception`).
+
+    Every row is kept in the folder `--out`: rerun to resume.
+
+    Example: `cluttergen perception eval views --segmenter runs/segmenter`
+    """
+    print(options.call(perception_eval, out=options.out or "out/perception"))
+
+
+run_perception = Group(
+    """Known objects in images: `perception data`, `perception train` and `perception eval`.
+
+    Example: `cluttergen perception data --num-views 6000 --out views`
+    """,
+    {"data": make_views, "train": train_segmenter, "eval": judge_perception},
+)
+
+
+@command(robot_grasps, pool=Positional[str], robot=str)
+def find_grasps(options: Options) -> None:
+    """Find grasps of a pool's objects for the hand of a robot, each tested in MuJoCo (extra `robot`).
+
+    Example: `cluttergen robot grasps household --num-grasps 64`
+    """
+    print(options.call(robot_grasps))
+
+
+@command(
+    robot_place,
+    bank=Positional[str | None],  # type: ignore[misc]
+    robot=str,
+    placer=str,
+    grasps=str | None,
+)
+def move_objects(options: Options) -> None:
+    """Let a simulated robot arm put objects into scenes, or lift them out of them (extra `robot`).
+
+    Example: `cluttergen robot place --pool household --num-episodes 40`
+    """
+    print(options.call(robot_place))
+
+
+@command(grasp_dataset, bank=Positional[str], robot=str)
+def make_grasp_dataset(options: Options) -> None:
+    """Make a dataset of labelled grasps in the scenes of a bank, failures kept (extra `robot`).
+
+    Example: `cluttergen robot dataset bank --out grasps`
+    """
+    print(options.call(grasp_dataset))
+
+
+run_robot = Group(
+    """A robot arm in simulation: `robot grasps`, `robot place` and `robot dataset`.
+
+    Example: `cluttergen robot grasps household`
+    """,
+    {"grasps": find_grasps, "place": move_objects, "dataset": make_grasp_dataset},
+)
+
+
+@command(
+    rearrange,
+    bank=Positional[str | None],  # type: ignore[misc]
+    observer=RobotObserver,
+    grasps=str | None,
+    target=str | None,
+    robot=str,
+)
+def run_rearrange(options: Options) -> None:
+    """Let a simulated robot arm rearrange the objects of scenes (extra `robot`).
+
+    Example: `cluttergen rearrange --setting blocked --num-episodes 20`
+    """
+    # Whoever reads the address from a pipe waits for it.
+    print(options.call(rearrange, show=partial(print, flush=True)))

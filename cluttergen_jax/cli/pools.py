@@ -1,0 +1,412 @@
+"""The commands about pools and supports: listed, shown, measured, and away with what is old."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from tyro.conf import Positional
+
+from cluttergen_jax.cli.options import command
+from cluttergen_jax.errors import ClutterGenError, ConfigError, range_text
+from cluttergen_jax.tables import aligned_table
+
+if TYPE_CHECKING:
+    from cluttergen_jax.assets.object import ObjectAsset
+    from cluttergen_jax.assets.pool import Pool
+    from cluttergen_jax.assets.support import SupportAsset
+    from cluttergen_jax.importing.poses import Pose
+
+_PAGE = 100
+_SHOWN = ("object", "size mm", "scale", "mass kg", "friction", "licence", "what people call it")
+_POSES = ("pose", "mm tall", "degrees from now", "tips over at", "of random falls")
+_MEASURED = (
+    *("object", "size mm", "scale", "mass kg", "parts", "vertices"),
+    *("deviation", "cavity", "ball", "solo", "steps", "poses"),
+)
+_MOST_ALIKE = 4
+_NAMES_AND_NUMBERS = re.compile(r"'[^']*'|\S+\.\w+|\d[\d,.]*")
+
+
+@command()
+def run_pool(
+    action: Positional[Literal["list", "show", "pose", "remove"]],
+    names: Positional[tuple[str, ...]] = (),
+    *,
+    objects: tuple[str, ...] = (),
+    page: int = 1,
+) -> None:
+    """List pools, show what one holds, remove your own, or change an object's pose: cluttergen pool list.
+
+    Example: `cluttergen pool show dining+study`. `cluttergen pool pose mine mug` lists the poses of a mug,
+    `cluttergen pool pose mine mug 1` puts it into the first other one.
+
+    Args:
+      action: list, show, pose or remove.
+      names: of the pools. To show: names or folders, a+b for a union, a~mug for all but mug. For poses: the
+        pool, the object, and the number of a pose to take.
+      objects: to show: only these, by names, patterns and conditions: "mug*", "label=*book* and mass<0.5".
+      page: to show: which hundred objects of each.
+    """
+    from cluttergen_jax.assets.facts import chosen_names
+    from cluttergen_jax.assets.pool import find_pool
+
+    if bool(names) == (action == "list"):
+        raise ConfigError(
+            f"pool {action} {' '.join(names)}".rstrip(),
+            "no name" if action == "list" else "one name or more",
+            f"cluttergen pool {action}{'' if action == 'list' else ' NAME'}",
+        )
+    if action == "list":
+        _list()
+    elif action == "pose":
+        _pose(names)
+    elif action == "remove":
+        _remove(names)
+    else:
+        for name in names:
+            pool = find_pool(name)
+            chosen = chosen_names(pool.facts, objects, name) if objects else pool.names
+            _show(pool, chosen, page)
+
+
+def _list() -> None:
+    from cluttergen_jax.assets.pool import EMBEDDED, list_pools, read_pool
+
+    for name, folder in list_pools().items():
+        try:
+            pool = read_pool(folder)
+        except ClutterGenError as error:
+            print(f"{name:16} damaged: {error}")
+            continue
+        flagged = sum(each.flagged for each in pool.facts)
+        place = "embedded" if name in EMBEDDED else str(folder)
+        print(f"{name:16} {len(pool):3} objects, {flagged} flagged, tier {pool.tier}, {place}")
+        print(f"{'':16} licence: {pool.licence or 'not stated'}")
+
+
+def _show(pool: Pool, chosen: Sequence[str], page: int) -> None:
+    from cluttergen_jax.assets.pool import MOST_READ
+
+    pages = -(-len(chosen) // _PAGE)
+    if not 1 <= page <= pages:
+        raise ConfigError(f"page = {page}", range_text(1, pages), "page=1")
+    objects = [pool[name] for name in chosen[(page - 1) * _PAGE : page * _PAGE]]
+    # Of very many objects the digest of all would have to be made by reading all.
+    content = f", content {pool.hash[:12]}" if len(pool) <= MOST_READ else ""
+    print(f"pool {pool.name}: {len(pool)} objects, tier {pool.tier}{content}")
+    if len(chosen) < len(pool):
+        print(f"{len(chosen)} of them are chosen")
+    print(_left_table([_SHOWN, *(_shown_row(asset) for asset in objects)]))
+    for line in (*_flags(objects), *_credits(objects)):
+        print(line)
+    if pages > 1:
+        print(f"page {page} of {pages}; another: --page N; some: --objects 'mug* and mass<0.5'")
+
+
+def _shown_row(asset: ObjectAsset) -> tuple[str, ...]:
+    friction = "-" if asset.friction is None else f"{asset.friction:g}"
+    numbers = size_text(asset), f"{asset.scale:g}", f"{asset.mass:.3f}", friction
+    return asset.name, *numbers, asset.provenance.licence, asset.label
+
+
+def _flags(objects: Sequence[ObjectAsset]) -> Iterator[str]:
+    return (f"  ! {asset.name}: {flag}" for asset in objects for flag in asset.flags)
+
+
+def _credits(objects: Sequence[ObjectAsset]) -> list[str]:
+    """Each attribution that a licence asks for, once."""
+    return [
+        f"  {each}"
+        for each in dict.fromkeys(asset.provenance.attribution for asset in objects)
+        if each
+    ]
+
+
+def _remove(names: Sequence[str]) -> None:
+    from cluttergen_jax.assets.pool import remove_pool, user_pool_folder
+
+    # All of them are looked up before the first is removed.
+    folders = {name: user_pool_folder(name) for name in names}
+    for name, folder in folders.items():
+        pool = remove_pool(name)
+        held = "damaged" if pool is None else f"{len(pool)} objects: {', '.join(pool.names)}"
+        print(f"removed pool {name} ({held}) from {folder}")
+
+
+def _pose(words: Sequence[str]) -> None:
+    """Lists an object's poses; with a number behind pool and object, after it was put into that one."""
+    from cluttergen_jax.importing.poses import pool_poses, set_pose
+
+    if len(words) not in (2, 3) or not all(word.isdecimal() for word in words[2:]):
+        raise ConfigError(
+            f"pool pose {' '.join(words)}",
+            "a pool, one of its objects, and the number of a pose (0 or more) to change it",
+            "cluttergen pool pose POOL OBJECT",
+        )
+    pool, name, *number = words
+    if number:
+        asset = set_pose(pool, name, int(number[0]))
+        tall = 2000 * asset.half_extents[2]
+        rate = 100 * (asset.quality.solo_rate or 0.0)
+        print(f"{name} now stands so: {tall:.0f} mm tall, stable in {rate:.1f} % of trials")
+        print("\n".join(f"  ! {flag}" for flag in asset.flags), end="\n" if asset.flags else "")
+    print(
+        aligned_table(_POSES, [_pose_row(k, each) for k, each in enumerate(pool_poses(pool, name))])
+    )
+
+
+def _pose_row(number: int, each: Pose) -> tuple[str, ...]:
+    turn = math.degrees(math.acos(max(-1.0, min(1.0, each.up[2])))) if number else 0.0
+    return (
+        str(number) if number else "0 (now)",
+        f"{1000 * each.height:.0f}",
+        f"{turn:.0f}",
+        f"{each.tip:.0f}",
+        f"{100 * each.likelihood:.0f} %",
+    )
+
+
+@command()
+def run_list() -> None:
+    """List pools and their objects, supports, layouts, robots and checkpoints.
+
+    Example: `cluttergen list`
+    """
+    from cluttergen_jax.assets.pool import ALL, EMBEDDED, list_pools, read_pool
+    from cluttergen_jax.assets.support_file import list_supports
+    from cluttergen_jax.downstream.robot.description import find_robot, list_robots
+    from cluttergen_jax.generation.layouts import list_layouts, read_layout
+    from cluttergen_jax.learning.policies.embedded import list_policies
+
+    print("pools")
+    for name, path in list_pools().items():
+        try:
+            pool = read_pool(path)
+            names = ", ".join(f"{n}*" if pool[n].flags else n for n in pool.names)
+            print(f"  {name:12} {len(pool):3} objects: {names}")
+        except ClutterGenError as error:
+            print(f"  {name:12} damaged: {error}")
+    print(f"  {ALL:12}     the union of {', '.join(EMBEDDED)}")
+    print(
+        "  (* flagged: `cluttergen inspect POOL` says why; a+b is the union of two, a~mug leaves mug out)"
+    )
+    print("supports")
+    for name in list_supports():
+        print(f"  {name}")
+    print(
+        "  table-WxD[xH] is a cuboid of that size in metres, such as table-0.40x0.50; bin-WxD[xH],"
+    )
+    print(
+        "  tote-WxD[xH] and tray-WxD[xH] are containers of that size inside, such as bin-0.50x0.30x0.20"
+    )
+    print("layouts, of `cluttergen generate --layout`")
+    for name in list_layouts():
+        print(f"  {name:20} {len(read_layout(name).relations)} relations")
+    print("robots, of `cluttergen robot` and `cluttergen rearrange`")
+    for name in list_robots():
+        try:
+            find_robot(name)
+            print(f"  {name}")
+        except ClutterGenError as error:
+            print(f"  {name:12} {error}")
+    print("trained checkpoints, POOL-METHOD, or METHOD alone where one serves any pool")
+    for name in list_policies():
+        print(f"  {name}")
+    if not list_policies():
+        print("  none yet: cluttergen train makes one")
+
+
+@command()
+def run_inspect(
+    pool: Positional[str],
+    out: Path | None = None,
+    *,
+    objects: tuple[str, ...] = (),
+    exclude: tuple[str, ...] = (),
+    columns: int = 4,
+    grasps: bool = False,
+) -> None:
+    """Show what was measured about objects of a pool, or surfaces of a support; draw it.
+
+    Example: `cluttergen inspect dining --out dining.png`
+
+    Args:
+      pool: a pool's name or folder, or several joined by +; or a support's name or folder, of which surfaces
+        are listed, and drawn with their numbers.
+      out: write a contact sheet to this PNG file; or to an HTML file a page to scroll through, flagged
+        objects first, with a picture of each and what was measured.
+      objects: only these, by names, patterns and conditions: "mug*", "label=*book* and mass<0.5".
+      exclude: all but these.
+      columns: objects in a row of the sheet.
+      grasps: draw grasps of the Panda's hand about each object instead (extra `robot`); those that are not
+        kept are found first, as `robot grasps` does.
+    """
+    from cluttergen_jax.assets.pool import list_pools
+    from cluttergen_jax.assets.support_file import find_support, is_support
+    from cluttergen_jax.files import check_file
+    from cluttergen_jax.kept_folder import hold_file
+
+    check_file(out, "out", f"{pool}.png")
+    with hold_file(out):
+        # A pool comes before a support of the same name.
+        if pool in list_pools() or not is_support(pool):
+            _inspect_pool(pool, out, objects, exclude, columns, grasps)
+        elif objects or exclude or grasps or (out is not None and out.suffix != ".png"):
+            support = find_support(pool)
+            raise ConfigError(
+                f"options about objects, or an HTML page, with support {support.name!r}",
+                "its name, and --out with a PNG file",
+                f"cluttergen inspect {pool} --out {support.name}.png",
+            )
+        else:
+            _inspect_support(find_support(pool), out)
+
+
+def _inspect_pool(
+    name: str,
+    out: Path | None,
+    objects: Sequence[str],
+    exclude: tuple[str, ...],
+    columns: int,
+    grasps: bool,
+) -> None:
+    from cluttergen_jax.assets.facts import chosen_names
+    from cluttergen_jax.assets.pool import find_pool
+    from cluttergen_jax.rendering.sheet import save_png
+
+    pool = find_pool(name, exclude)
+    chosen = chosen_names(pool.facts, objects, name) if objects else pool.names
+    assets = tuple(pool[each] for each in chosen)
+    is_page = out is not None and out.suffix == ".html"
+    if is_page and grasps:
+        raise ConfigError("--grasps with an HTML page", "a PNG file", f"--out {name}.png")
+    print(f"pool {pool.name}, licence: {pool.licence or 'not stated'}, content {pool.hash[:12]}")
+    print(pool_table(assets))
+    if grasps:
+        from cluttergen_jax.downstream.robot.api import robot_grasps
+
+        print(sets := robot_grasps(name, [asset.name for asset in assets]))
+    if out is None:
+        return
+    if is_page:
+        from cluttergen_jax.rendering.assets import write_pool_report
+
+        print(write_pool_report(out, pool, assets))
+    elif grasps:
+        from cluttergen_jax.downstream.robot.grasping.picture import grasp_sheet
+
+        print(save_png(grasp_sheet(assets, sets, columns), out))
+    else:
+        from cluttergen_jax.rendering.assets import object_sheet
+
+        print(save_png(object_sheet(assets, columns), out))
+
+
+def _inspect_support(support: SupportAsset, out: Path | None) -> None:
+    solids = f"{len(support.boxes)} boxes, {len(support.parts)} convex parts"
+    print(f"support {support.name} ({support.label}), collision: {solids}")
+    print(surface_table(support))
+    if out is not None:
+        from cluttergen_jax.rendering.assets import support_sheet
+        from cluttergen_jax.rendering.sheet import save_png
+
+        print(save_png(support_sheet(support), out))
+
+
+def pool_table(objects: Sequence[ObjectAsset]) -> str:
+    """One line per object, then flags (!) and notes (-) in words, then the counts of the project's bars.
+
+    Of many notes that differ in names and numbers alone, the first is told, and how many there are.
+    """
+    lines = [aligned_table(_MEASURED, [_measured_row(asset) for asset in objects])]
+    lines += [f"  ! {asset.name}: {flag}" for asset in objects for flag in asset.flags]
+    lines += _notes(objects)
+    return "\n".join([*lines, _summary(objects)])
+
+
+def _notes(objects: Sequence[ObjectAsset]) -> Iterator[str]:
+    kinds: defaultdict[str, list[tuple[str, str]]] = defaultdict(list)
+    for asset in objects:
+        for note in asset.notes:
+            kinds[_NAMES_AND_NUMBERS.sub("#", note)].append((asset.name, note))
+    for alike in kinds.values():
+        shown = alike if len(alike) <= _MOST_ALIKE else alike[:1]
+        yield from (f"  - {name}: {note}" for name, note in shown)
+        if len(shown) < len(alike):
+            owners = {name for name, _ in alike}
+            of = f"{len(owners)} objects" if len(owners) > 1 else alike[0][0]
+            yield f"    ... and {len(alike) - 1} more notes like it, of {of} (`ObjectAsset.notes` has all)"
+
+
+def _measured_row(asset: ObjectAsset) -> tuple[str, ...]:
+    quality = asset.quality
+    ball = {None: "-", True: "held", False: "lost"}[quality.holds_ball]
+    return (
+        asset.name,
+        size_text(asset),
+        f"{asset.scale:g}",
+        f"{asset.mass:.3f}",
+        str(len(asset.parts)),
+        str(sum(len(part.vertices) for part in asset.parts)),
+        _percent(quality.deviation),
+        _percent(quality.cavity_fill),
+        ball,
+        _percent(quality.solo_rate),
+        "-" if quality.solo_steps is None else f"{quality.solo_steps:.1f}",
+        str(len(asset.resting)),
+    )
+
+
+def size_text(asset: ObjectAsset) -> str:
+    """Its three sides in millimetres, in its resting pose."""
+    return " x ".join(f"{2000 * half:.0f}" for half in asset.half_extents)
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.1f} %"
+
+
+def _summary(objects: Sequence[ObjectAsset]) -> str:
+    qualities = [asset.quality for asset in objects]
+    hollow = [quality for quality in qualities if quality.cavity_fill is not None]
+    is_open = [quality.cavity_fill <= 0.2 and bool(quality.holds_ball) for quality in hollow]  # type: ignore[operator]
+    solo = sum(quality.solo_rate is not None and quality.solo_rate >= 0.99 for quality in qualities)
+    near = sum(quality.deviation is not None and quality.deviation <= 0.05 for quality in qualities)
+    return (
+        f"{len(objects)} objects, tier {objects[0].tier}: {solo} stand alone in 99 % of trials or more, "
+        f"{near} deviate by 5 % or less, {sum(is_open)} of {len(hollow)} hollow ones are open, "
+        f"{sum(bool(asset.flags) for asset in objects)} flagged"
+    )
+
+
+def surface_table(support: SupportAsset) -> str:
+    """A row for each surface: number, name, height, slope, area, region, free height; metres, degrees."""
+    rows = [("", "surface", "height", "slope", "area", "region", "free height above")]
+    for number, each in enumerate(support.surfaces, 1):
+        x, y = each.region.half_extents
+        free = "open" if math.isinf(each.free_height) else f"{each.free_height:.3f} m"
+        slope = "level" if each.is_level else f"{math.degrees(each.tilt):.1f} deg"
+        rows.append(
+            (
+                str(number),
+                each.name,
+                f"{each.position[2]:.3f} m",
+                slope,
+                f"{each.area:.3f} m^2",
+                f"{2 * x:.2f} x {2 * y:.2f} m",
+                free,
+            )
+        )
+    return _left_table(rows)
+
+
+def _left_table(rows: Sequence[Sequence[str]]) -> str:
+    """Columns of equal width, all flush left."""
+    widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
+    lines = ("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
+    return "\n".join(lines)
