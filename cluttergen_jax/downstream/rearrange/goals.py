@@ -13,14 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from cluttergen_jax.assets.facts import ObjectFacts
-from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.object_files import object_hash
-from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.assets import ObjectAsset, ObjectFacts, Rectangle, SupportAsset, object_hash
 from cluttergen_jax.downstream.rearrange.layouts import SceneDraw
 from cluttergen_jax.downstream.rearrange.task import RearrangeResult
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement.relations import (
+from cluttergen_jax.placement import (
     KINDS,
     TABLE,
     Relation,
@@ -30,8 +27,7 @@ from cluttergen_jax.placement.relations import (
     order_of,
     parse_relations,
 )
-from cluttergen_jax.scene import Scene
-from cluttergen_jax.scene.bank import read_bank, read_scenes
+from cluttergen_jax.scene import Scene, read_bank, read_scenes
 
 _PHRASES = {"on top of": "on", "onto": "on", "into": "in", "inside": "in", "beside": "next_to"}
 _PHRASES |= {kind.replace("_", " "): kind for kind in (*KINDS, "under")}
