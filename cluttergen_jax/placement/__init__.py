@@ -20,12 +20,10 @@ if TYPE_CHECKING:
     )
     from cluttergen_jax.placement.relations import (
         KINDS,
-        TABLE,
         Relation,
         can_be_filled,
         candidates_of,
         conditions_of,
-        order_of,
         parse_relations,
     )
     from cluttergen_jax.placement.rollout.replay import Replay
@@ -60,11 +58,9 @@ __getattr__, __all__ = offer(
         "relations": (
             "KINDS",
             "Relation",
-            "TABLE",
             "can_be_filled",
             "candidates_of",
             "conditions_of",
-            "order_of",
             "parse_relations",
         ),
         "rollout.replay": ("Replay",),

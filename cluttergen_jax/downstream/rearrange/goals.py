@@ -19,12 +19,10 @@ from cluttergen_jax.downstream.rearrange.task import RearrangeResult
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement import (
     KINDS,
-    TABLE,
     Relation,
     can_be_filled,
     candidates_of,
     conditions_of,
-    order_of,
     parse_relations,
 )
 from cluttergen_jax.scene import Scene, read_bank, read_scenes
@@ -131,9 +129,8 @@ class RelationGoals:
             return None
         noise = np.random.default_rng(seed).random(candidates.shape)
         taken = linear_sum_assignment(noise + 1e3 * ~candidates)[1].tolist()
-        roles = [name for name in order_of(self._relations) if name != TABLE]
         subjects = {each.subject for each in self._relations}
-        moved = [k for name, k in zip(roles, taken, strict=True) if name in subjects]
+        moved = [k for name, k in zip(self._conditions, taken, strict=True) if name in subjects]
         rest = [k for k in range(len(numbers)) if k not in moved]
 
         def layouts(draw: int, poses: np.ndarray) -> np.ndarray:
