@@ -71,7 +71,6 @@ Reward = Literal["paper", "code", "compressed"]
 Encoder = Literal["set", "pointnet", "pointnet2"]
 EvalAction = Literal["sampled", "mean"]
 Suite = Literal["paper", "extended", "downstream"]
-Split = Literal["train", "val", "test"]
 Axis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
 Up = Literal["auto", "file", "x", "y", "z", "-x", "-y", "-z"]
 Tier = Literal["standard", "light"]
@@ -182,9 +181,6 @@ def check_workers(argument: str, number: int) -> None:
             f"{argument}=0, which takes every core",
         )
 
-
-# Of a split of a data set: what a larger number means is a slip of the hand.
-MAX_VIEWS = 1_000_000
 
 Detector = Literal["native", "libccd"]
 DETECTORS: tuple[Detector, ...] = get_args(Detector)

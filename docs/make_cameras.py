@@ -9,7 +9,7 @@ from PIL import Image
 
 import cluttergen_jax as cg
 from cluttergen_jax.rendering.assets import close_points
-from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, scene_renderer
+from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, open_scene_renderer
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.noise import REALSENSE, noisy
@@ -58,7 +58,7 @@ def main() -> None:
     seen = PartialMap.of(depth, level_camera(depth, stated, grid), grid, median=3)
     picture = PictureConfig(width=WIDTH, height=HEIGHT)
     points = close_points(scene.objects, scene.poses, scene.support)
-    with scene_renderer(scene.objects, scene.support, points, picture) as renderer:
+    with open_scene_renderer(scene.objects, scene.support, points, picture) as renderer:
         renderer.camera = camera
         colours = renderer.picture([RenderStyle(pose) for pose in scene.poses])
     views = {

@@ -12,7 +12,7 @@ from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes, ProposalJudge, world_pose
 from cluttergen_jax.downstream.placer.proposers import find_placer
 from cluttergen_jax.rendering.assets import close_points
-from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, scene_renderer
+from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, open_scene_renderer
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 from cluttergen_jax.sensing.camera import REALSENSE_SIZE, SIZE, Camera
 from cluttergen_jax.sensing.noise import REALSENSE
@@ -77,7 +77,7 @@ def main() -> None:
         every = np.array([style.pose for style in styles])
         picture = PictureConfig(width=REALSENSE_SIZE[0], height=REALSENSE_SIZE[1])
         points = close_points(objects, every, world.support)
-        with scene_renderer(objects, world.support, points, picture) as renderer:
+        with open_scene_renderer(objects, world.support, points, picture) as renderer:
             renderer.camera = looking(middle, REALSENSE_SIZE)
             views.append(renderer.picture(styles))
         chance = ", ".join(f"{score:.2f}" for score in proposals.score)

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets import SupportAsset
 from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.scene.bank import Bank, read_bank
+from cluttergen_jax.scene import Bank, read_bank
 
 
 class StableScenes(NamedTuple):

@@ -19,12 +19,20 @@ import numpy as np
 import optax
 from flax import struct
 
-from cluttergen_jax.assets.pool import embedded_root
+from cluttergen_jax.assets import embedded_root
 from cluttergen_jax.config import check_positive
 from cluttergen_jax.errors import ConfigError, PoolError
-from cluttergen_jax.learning.ppo import checkpoint
-from cluttergen_jax.learning.training.interrupt import Interrupt
-from cluttergen_jax.learning.training.metrics_log import MetricsLog
+from cluttergen_jax.learning import (
+    Interrupt,
+    MetricsLog,
+    check_folder,
+    has_state,
+    hold_run,
+    read_record,
+    read_state,
+    save_policy,
+    save_state,
+)
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.progress import COMPILING, Progress, time_text
 from cluttergen_jax.types import Array
@@ -258,7 +266,7 @@ class FitRun(ABC):
         self.folder = folder
         self._show = show
         self.recipe = {"network": asdict(learner.config), "fit": asdict(config), **recipe}
-        checkpoint.check_folder(folder, self.recipe)
+        check_folder(folder, self.recipe)
 
     @abstractmethod
     def examples(self, split: str) -> Any:
@@ -279,7 +287,7 @@ class FitRun(ABC):
             "validation": {"loss": float(state.best_loss), **validation},
             "versions": {name: version(name) for name in names},
         }
-        checkpoint.save_policy(folder, jax.device_get(state.best), record)
+        save_policy(folder, jax.device_get(state.best), record)
         return folder
 
     def run(self) -> Path:
@@ -290,9 +298,9 @@ class FitRun(ABC):
           BankError: another process writes the run.
           KeyboardInterrupt: on Ctrl-C, once everything is saved.
         """
-        with checkpoint.hold_run(self.folder):
+        with hold_run(self.folder):
             # Another process may have made a run here since.
-            checkpoint.check_folder(self.folder, self.recipe)
+            check_folder(self.folder, self.recipe)
             return self.folder / self.kind if self._is_done() else self._run()
 
     def _run(self) -> Path:
@@ -340,7 +348,7 @@ class FitRun(ABC):
         place = self.folder / self.kind
         if not (place / "record.json").is_file():
             return False
-        record = checkpoint.read_record(place)
+        record = read_record(place)
         return all(
             record.get(name) == value for name, value in json.loads(json.dumps(self.recipe)).items()
         )
@@ -348,10 +356,10 @@ class FitRun(ABC):
     def _load_or_start(self, fit: Fit) -> FitState:
         state: FitState = _start(fit)
         last = self.folder / "last"
-        return checkpoint.read_state(last, state) if checkpoint.has_state(last) else state
+        return read_state(last, state) if has_state(last) else state
 
     def _keep(self, state: FitState) -> None:
-        checkpoint.save_state(self.folder / "last", state, self.recipe)
+        save_state(self.folder / "last", state, self.recipe)
 
     def _learn(
         self, fit: Fit, state: FitState, examples: Any, held_out: Any, interrupt: Interrupt

@@ -25,7 +25,7 @@ import pyarrow.parquet as pq
 from cluttergen_jax.errors import BankError, ConfigError, closest, range_text
 from cluttergen_jax.files import folder_whole, remove_partial, write_atomically, writing
 from cluttergen_jax.kept_folder import KeptFolder, hold
-from cluttergen_jax.scene.bank import Bank
+from cluttergen_jax.scene import Bank
 from cluttergen_jax.schema import (
     SEAL,
     SchemaError,

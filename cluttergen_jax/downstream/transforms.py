@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets.symmetry import ROUND, turn_matrix
+from cluttergen_jax.assets import ROUND, turn_matrix
 
 
 def matrix_of(pose: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ from typing import Literal
 
 from cluttergen_jax.errors import ConfigError
 
+Split = Literal["train", "val", "test"]
 PlacerHead = Literal["scored"]
 PlacerNoise = Literal["on", "off", "both"]
 SensedFrom = Literal["free", "overhead", "side"]
@@ -20,6 +21,7 @@ RecordFormat = Literal["lerobot", "robomimic"]
 SegmenterInput = Literal["colour", "depth"]
 
 # Of a split of a data set: what a larger number means is a slip of the hand.
+MAX_VIEWS = 1_000_000
 MAX_PAIRS = 10_000_000
 
 MAX_NOISE = 10.0

@@ -4,3 +4,21 @@ trial: what one row asks. resolved: what its names stand for, its policy among t
 its figures. store: rows on disk, found again by content. runner: all of these. comparison: methods side by
 side. cells, plots: columns and figures. certify: stability certificates of banks.
 """
+
+from typing import TYPE_CHECKING
+
+from cluttergen_jax.lazy import offer
+
+if TYPE_CHECKING:
+    from cluttergen_jax.evaluation.machine import versions
+    from cluttergen_jax.evaluation.measures.diversity import embed, scene_distances
+    from cluttergen_jax.evaluation.store import Store, json_bytes
+
+__getattr__, __all__ = offer(
+    __name__,
+    {
+        "machine": ("versions",),
+        "measures.diversity": ("embed", "scene_distances"),
+        "store": ("Store", "json_bytes"),
+    },
+)

@@ -13,7 +13,7 @@ from cluttergen_jax.rendering.scene_renderer import (
     PictureConfig,
     RenderStyle,
     SceneRenderer,
-    scene_renderer,
+    open_scene_renderer,
 )
 from cluttergen_jax.rendering.sheet import with_caption
 from cluttergen_jax.sensing.rays import SUPPORT
@@ -92,7 +92,7 @@ def density_figure(
     points = np.concatenate(
         [close_points(objects, attempt.poses[standing], recording.support), corners]
     )
-    with scene_renderer(objects, recording.support, points, picture) as renderer:
+    with open_scene_renderer(objects, recording.support, points, picture) as renderer:
         styles = [RenderStyle(pose) for pose in attempt.poses[standing]]
         image = renderer.picture(styles)
         heat = _heat_seen(renderer, styles, recording, density_of(attempt.proposals))

@@ -13,7 +13,7 @@ from cluttergen_jax.rendering.scene_renderer import (
     RED,
     PictureConfig,
     RenderStyle,
-    scene_renderer,
+    open_scene_renderer,
 )
 from cluttergen_jax.rendering.sheet import ring_around, with_rings
 
@@ -94,7 +94,7 @@ def closed_loop_figure(
         [close_points(actors, poses, recording.support), *(trail.points for trail in trails)],
         axis=0,
     )
-    with scene_renderer(actors, recording.support, points, picture) as renderer:
+    with open_scene_renderer(actors, recording.support, points, picture) as renderer:
         image = renderer.picture(styles, trails)
         vertices = np.concatenate([part.vertices for part in recording.objects[index].parts])
         rings = []

@@ -29,7 +29,7 @@ from cluttergen_jax.rendering.scene_renderer import (
     RED,
     PictureConfig,
     RenderStyle,
-    scene_renderer,
+    open_scene_renderer,
     turntable_points,
 )
 from cluttergen_jax.rendering.sheet import with_caption
@@ -162,7 +162,7 @@ def replay(
     picture = _with_size_of(picture or PictureConfig(samples=8), camera)
     frames = replay_frames(recording, config)
     points = _end_points(recording)
-    with scene_renderer(recording.objects, recording.support, points, picture) as renderer:
+    with open_scene_renderer(recording.objects, recording.support, points, picture) as renderer:
         renderer.camera = camera or renderer.camera
         image = None
         shown = None
@@ -192,7 +192,7 @@ def turntable(
     count = max(2, round(config.fps * config.seconds))
     styles = _standing(recording, recording.poses, recording.is_placed)
     points = _end_points(recording)
-    with scene_renderer(recording.objects, recording.support, points, picture) as renderer:
+    with open_scene_renderer(recording.objects, recording.support, points, picture) as renderer:
         around = turntable_points(renderer.content if picture.whole else points)
         for number in range(count):
             turn = 360.0 * number / count

@@ -81,7 +81,7 @@ _INTO = -55.0
 
 
 class SceneRenderer:
-    """See `scene_renderer`.
+    """See `open_scene_renderer`.
 
     Attributes:
       content: f64[P, 3], all that the whole view shows.
@@ -191,7 +191,7 @@ class SceneRenderer:
 
 
 @contextmanager
-def scene_renderer(
+def open_scene_renderer(
     objects: Sequence[ObjectAsset],
     support: SupportAsset | None,
     points: np.ndarray,
@@ -226,7 +226,7 @@ def scene_camera(
     points: np.ndarray,
     picture: PictureConfig,
 ) -> Camera:
-    """The camera that `scene_renderer` of these begins with; needs no OpenGL."""
+    """The camera that `open_scene_renderer` of these begins with; needs no OpenGL."""
     picture = _look_over_rim(picture, support)
     content = _make_scene_model(lit_spec(objects, support), points, picture)[2]
     return _fit_camera(content, points, picture)

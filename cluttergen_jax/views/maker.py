@@ -19,8 +19,8 @@ from cluttergen_jax.rendering.scene_renderer import (
     RenderStyle,
     SceneRenderer,
     lit_spec,
+    open_scene_renderer,
     scene_camera,
-    scene_renderer,
 )
 from cluttergen_jax.rendering.variation import Appearance, add_table_materials, draw_light
 from cluttergen_jax.sensing import FIRST_OBJECT, Camera, InstanceSensor
@@ -196,7 +196,7 @@ class ViewMaker:
         if self._vary:
             add_table_materials(spec)
         points = self._points() if self._around is None else self._around
-        opened = scene_renderer(objects, self._support, points, self._picture, spec)
+        opened = open_scene_renderer(objects, self._support, points, self._picture, spec)
         self._renderer = self._stack.enter_context(opened)
         if self._vary:
             model = self._renderer.model_renderer.model

@@ -20,7 +20,7 @@ from cluttergen_jax.rendering.assets import close_points, render_scene
 from cluttergen_jax.rendering.figure import closed_loop_figure
 from cluttergen_jax.rendering.gl import renderer_status
 from cluttergen_jax.rendering.renderer import Trail
-from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, scene_renderer
+from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, open_scene_renderer
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 from studies.methods.table1 import CLUTTERGEN, first_seed
 from studies.study import Findings, Scale, Study, Successes, successes_of
@@ -81,7 +81,7 @@ def _draw_region(runner: Runner, trial: Trial, scenes: Successes) -> np.ndarray:
     objects = [scenes.world.objects[k] for k in here]
     poses = scenes.poses[0, here]
     seen = np.concatenate([outline, close_points(objects, poses, None)])
-    with scene_renderer(
+    with open_scene_renderer(
         objects, scenes.world.support, seen, PictureConfig(480, 360, _SAMPLES)
     ) as renderer:
         return renderer.picture(

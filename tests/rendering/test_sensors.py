@@ -6,7 +6,7 @@ import pytest
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.rendering.assets import close_points, scene_spec
-from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, scene_renderer
+from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, open_scene_renderer
 from cluttergen_jax.sensing.camera import Camera, free, overhead, side
 from cluttergen_jax.sensing.rays import FLOOR, SUPPORT, RaySensor
 from tests.helpers.drawing import needs_gl
@@ -33,7 +33,7 @@ def test_rays_and_opengl_see_the_same(name):
         camera = Camera(320, 240, K, camera.T_world_camera)
     picture = PictureConfig(width=camera.width, height=camera.height, samples=1)
     points = close_points(objects, poses, support)
-    with scene_renderer(objects, support, points, picture) as renderer:
+    with open_scene_renderer(objects, support, points, picture) as renderer:
         renderer.camera = camera
         drawn = renderer.measure([RenderStyle(pose) for pose in poses])
     spec, _ = scene_spec(objects, poses, support)

@@ -13,7 +13,7 @@ from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.robot.model import Robot as Arm
 from cluttergen_jax.downstream.robot.model import arm_spec as whole_arm
 from cluttergen_jax.downstream.robot.model import remove_unused_meshes
-from cluttergen_jax.scene.cameras import FixedCamera
+from cluttergen_jax.scene import FixedCamera
 
 HAND_CAMERA = "hand"
 """The camera on the hand; others bear the names of `scene.cameras`."""

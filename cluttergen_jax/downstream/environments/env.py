@@ -20,7 +20,7 @@ from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.transforms import pose_of
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.generation.arguments import required_recipe
+from cluttergen_jax.generation import required_recipe
 
 RobotAction = Literal["joint", "joint_delta", "tool"]
 TIME_LIMIT = "time limit"

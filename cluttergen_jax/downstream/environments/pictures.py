@@ -9,9 +9,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets.mjcf import VISUAL_GROUP
+from cluttergen_jax.assets import VISUAL_GROUP
 from cluttergen_jax.config import no_such
-from cluttergen_jax.rendering.gl import new_context
+from cluttergen_jax.rendering import new_context
 
 
 def check_cameras(model: mujoco.MjModel, names: tuple[str, ...], prefix: str) -> None:

@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets.mjcf import VISUAL_GROUP
+from cluttergen_jax.assets import VISUAL_GROUP
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.generation.bank_world import BankWorld
-from cluttergen_jax.rendering.variation import NUM_TEXTURES, add_table_materials, table_material
+from cluttergen_jax.generation import BankWorld
+from cluttergen_jax.rendering import NUM_TEXTURES, add_table_materials, table_material
 from cluttergen_jax.types import Array
 
 _MOST = 10.0

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluttergen_jax.assets.symmetry import turn_symmetry
+from cluttergen_jax.assets import turn_symmetry
 from cluttergen_jax.downstream.environments.env import RobotEnv
 from cluttergen_jax.downstream.environments.simulation import WorldExecution
 from cluttergen_jax.downstream.environments.tasks import PlaceTask, Start

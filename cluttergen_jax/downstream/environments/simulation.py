@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets.support import Box
+from cluttergen_jax.assets import Box
 from cluttergen_jax.downstream.environments.world import RobotWorld
 from cluttergen_jax.downstream.robot.motion.collision import Kind
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
-from cluttergen_jax.generation.bank_world import WorldState
+from cluttergen_jax.generation import WorldState
 from cluttergen_jax.scene import Scene
 
 

@@ -11,8 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from cluttergen_jax.assets.support import Box, SupportAsset
-from cluttergen_jax.assets.symmetry import turn_symmetry
+from cluttergen_jax.assets import Box, SupportAsset, turn_symmetry
 from cluttergen_jax.downstream.environments.simulation import WorldExecution
 from cluttergen_jax.downstream.rearrange.judge import RearrangementJudge
 from cluttergen_jax.downstream.robot.episode import Referee, set_on_stand, stand_beside

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets.support import Box, SupportAsset
+from cluttergen_jax.assets import Box, SupportAsset
 from cluttergen_jax.downstream.environments.arm import arm_spec, set_home
 from cluttergen_jax.downstream.environments.randomization import (
     RandomizationConfig,
@@ -24,11 +24,9 @@ from cluttergen_jax.downstream.robot.model import Robot as Arm
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.motion.collision import add_stand
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.generation import BankArrays
-from cluttergen_jax.generation.bank_world import BankAttachment, BankWorld, WorldState
-from cluttergen_jax.rendering.lighting import add_lighting
-from cluttergen_jax.scene import Scene
-from cluttergen_jax.scene.bank.scene import region_of
+from cluttergen_jax.generation import BankArrays, BankAttachment, BankWorld, WorldState
+from cluttergen_jax.rendering import add_lighting
+from cluttergen_jax.scene import Scene, region_of
 from cluttergen_jax.types import Array
 
 RobotPhysics = Literal["accurate", "learning"]

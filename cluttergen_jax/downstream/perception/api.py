@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.config import MAX_VIEWS, Method, Split, check_range, check_workers
-from cluttergen_jax.downstream.words import SegmenterInput, check_noise
+from cluttergen_jax.config import Method, check_range, check_workers
+from cluttergen_jax.downstream.words import MAX_VIEWS, SegmenterInput, Split, check_noise
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
 from cluttergen_jax.kept_folder import hold_folder
@@ -65,8 +65,8 @@ def perception_data(
       MissingExtraError: the arm is wanted and the extra `robot` is not installed.
       RendererError: nothing here can draw.
     """
-    from cluttergen_jax.api.generate import generate
-    from cluttergen_jax.assets.pool import find_pool
+    from cluttergen_jax import generate
+    from cluttergen_jax.assets import find_pool
     from cluttergen_jax.downstream.perception.views.maker import (
         VIEWS_A_SCENE,
         PerceptionViewConfig,
@@ -75,8 +75,8 @@ def perception_data(
     from cluttergen_jax.downstream.perception.views.store import VIEWS
     from cluttergen_jax.downstream.robot.description import find_robot
     from cluttergen_jax.downstream.samples import SPLITS
-    from cluttergen_jax.rendering.gl import find_backend
-    from cluttergen_jax.scene.bank import Bank
+    from cluttergen_jax.rendering import find_backend
+    from cluttergen_jax.scene import Bank
     from cluttergen_jax.spec import MOST_ON_SHELF
 
     check_folder(out)
@@ -163,7 +163,7 @@ def perception_train(
         SegmenterTraining,
         ViewSource,
     )
-    from cluttergen_jax.learning.ppo.checkpoint import hold_run
+    from cluttergen_jax.learning import hold_run
 
     check_range("seed", seed, 0, 2**32 - 1, 0)
     if num_views is not None:

@@ -14,7 +14,7 @@ from cluttergen_jax.downstream.perception.pose.compare import Comparer
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.perception.pose.registration import FEWEST_PIXELS, SURE
 from cluttergen_jax.geometry import yaw_matrix
-from cluttergen_jax.views.view import View
+from cluttergen_jax.views import View
 
 FEWEST_KNOWN = 3
 """Objects that must be seen near where they are known to be; with fewer nothing is corrected."""

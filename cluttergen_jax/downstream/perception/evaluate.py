@@ -37,7 +37,7 @@ from cluttergen_jax.downstream.perception.types import Segmentation, Segmenter
 from cluttergen_jax.downstream.perception.views.store import StoredView, ViewSet
 from cluttergen_jax.downstream.rows import RowFile, share_of
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.machine import versions
+from cluttergen_jax.evaluation import versions
 from cluttergen_jax.sensing import REALSENSE, Camera
 from cluttergen_jax.tables import aligned_table
 

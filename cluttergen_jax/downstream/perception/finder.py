@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets import ObjectAsset, SupportAsset
 from cluttergen_jax.downstream.digests import constants_hash
 from cluttergen_jax.downstream.perception import camera_correction, certainty, mask_correction
 from cluttergen_jax.downstream.perception.camera_correction import correct_camera
@@ -49,7 +48,7 @@ from cluttergen_jax.downstream.perception.types import (
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.sensing import Camera, Grid, level_camera
-from cluttergen_jax.views.view import View
+from cluttergen_jax.views import View
 
 _AGREED = 0.5
 """Certainty from which on a pose tells where a camera is."""

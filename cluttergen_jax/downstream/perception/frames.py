@@ -21,7 +21,7 @@ from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.schema import checked_record, convert, digest_of, refuse, with_checksum
 from cluttergen_jax.sensing import Camera
-from cluttergen_jax.views.images import png_of
+from cluttergen_jax.views import png_of
 
 _NAMES = ("rgb.png", "depth.npy", "camera.json")
 

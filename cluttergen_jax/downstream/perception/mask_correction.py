@@ -16,7 +16,7 @@ from scipy.ndimage import label as connected
 from cluttergen_jax.downstream.perception.pose.compare import AGREES, IN_FRONT, render_alone
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.perception.types import ARM, BACKGROUND, FIRST_OBJECT
-from cluttergen_jax.views.view import View
+from cluttergen_jax.views import View
 
 LEAST_SHARE = 0.6
 """Of the pixels of an object that should be seen: so many have to have its depth for it to count as there."""

@@ -22,7 +22,7 @@ from cluttergen_jax.downstream.perception.types import (
 from cluttergen_jax.downstream.perception.views.store import StoredView
 from cluttergen_jax.downstream.transforms import matrix_of, offset
 from cluttergen_jax.sensing import NoiseConfig
-from cluttergen_jax.views.view import View
+from cluttergen_jax.views import View
 
 VISIBLE_PIXELS = 150
 """Of a picture of 320 x 240, from which on an object has to be found."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.sensing import Camera
-from cluttergen_jax.views.view import View
+from cluttergen_jax.views import View
 
 # The table, the floor and all else; the robot; then object k of a pool as 2 + k.
 BACKGROUND = 0

@@ -7,19 +7,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cluttergen_jax.config import Method, Split, check_range, check_workers
+from cluttergen_jax.config import Method, check_range, check_workers
 from cluttergen_jax.downstream.words import (
     MAX_PAIRS,
     PlacerHead,
     PlacerNoise,
     SensedFrom,
+    Split,
     check_noise,
 )
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.files import check_folder
 from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.numerics import with_own_settings
-from cluttergen_jax.placement.methods.table import entry_of
+from cluttergen_jax.placement import entry_of
 from cluttergen_jax.spec import SceneSpec
 
 if TYPE_CHECKING:
@@ -75,8 +76,8 @@ def placer_data(
       BankError: the bank cannot be read or holds no success, or the folder holds something else.
       PoolError: there is no such pool or support.
     """
-    from cluttergen_jax.api.generate import generate
-    from cluttergen_jax.assets.support_file import find_support
+    from cluttergen_jax import generate
+    from cluttergen_jax.assets import find_support
     from cluttergen_jax.downstream.bank_scenes import (
         bank_or_made,
         check_one_level,
@@ -86,7 +87,7 @@ def placer_data(
     from cluttergen_jax.downstream.placer.pairs.maker import split_of, write_pairs
     from cluttergen_jax.downstream.placer.pairs.store import PAIRS
     from cluttergen_jax.downstream.samples import SPLITS
-    from cluttergen_jax.scene.bank import AGAIN, Bank
+    from cluttergen_jax.scene import AGAIN, Bank
 
     check_folder(out)
     check_workers("num_threads", num_threads)
@@ -181,7 +182,7 @@ def placer_eval(
     """
     from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerTrials, compare_placers
     from cluttergen_jax.downstream.placer.pairs.store import read_pairs
-    from cluttergen_jax.evaluation.store import Store
+    from cluttergen_jax.evaluation import Store
 
     check_folder(out)
     check_workers("num_threads", num_threads)
@@ -243,7 +244,7 @@ def placer_train(
     from cluttergen_jax.downstream.fitting import FitConfig
     from cluttergen_jax.downstream.placer.examples import ExampleSource
     from cluttergen_jax.downstream.placer.training import PlacerTraining, head_of_name
-    from cluttergen_jax.learning.ppo.checkpoint import hold_run
+    from cluttergen_jax.learning import hold_run
 
     check_range("seed", seed, 0, 2**32 - 1, 0)
     if num_pairs is not None:

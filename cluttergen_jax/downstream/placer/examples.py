@@ -23,7 +23,7 @@ from cluttergen_jax.downstream.placer.pairs.store import (
 from cluttergen_jax.downstream.placer.query import Example, PlacementQuery, pad_map
 from cluttergen_jax.downstream.words import PlacerNoise
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement.search import UnderSide
+from cluttergen_jax.placement import UnderSide
 from cluttergen_jax.sensing import NOISE_OFF, REALSENSE
 
 _TENTH = 10

@@ -9,9 +9,7 @@ import numpy as np
 
 from cluttergen_jax.downstream.placer.query import CELL, NUM_POINTS, PlacementQuery
 from cluttergen_jax.downstream.placer.scene_cameras import DepthView
-from cluttergen_jax.placement.heightmap import VOID, HeightMap
-from cluttergen_jax.placement.problem import Problem
-from cluttergen_jax.placement.search import UnderSide
+from cluttergen_jax.placement import VOID, HeightMap, Problem, UnderSide
 from cluttergen_jax.sensing import (
     NOISE_OFF,
     Camera,

@@ -7,18 +7,18 @@ import jax.numpy as jnp
 from flax import struct
 
 from cluttergen_jax.downstream.placer.query import PlacementQuery
-from cluttergen_jax.placement.heightmap import HeightMap
-from cluttergen_jax.placement.methods.baselines import cost_of_lowest_fit
-from cluttergen_jax.placement.region import make_region
-from cluttergen_jax.placement.search import (
+from cluttergen_jax.placement import (
     CLEARANCE,
     Candidates,
     CandidateScores,
+    HeightMap,
     SearchConfig,
     UnderSide,
+    cost_of_lowest_fit,
     crowding,
     draw_candidates,
     lower_onto,
+    make_region,
     mean_under,
     support_share,
 )

@@ -12,14 +12,19 @@ import numpy as np
 
 from cluttergen_jax.downstream.bank_scenes import StableScenes
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.generation.sources.replay import setup_of
+from cluttergen_jax.generation import setup_of
 from cluttergen_jax.numerics import new_key
-from cluttergen_jax.placement.config import MIN_MARGIN
-from cluttergen_jax.placement.problem import Problem
-from cluttergen_jax.placement.region import KeepOut, Region, to_pose
-from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.types import Episode, Start
-from cluttergen_jax.scene.bank import Bank
+from cluttergen_jax.placement import (
+    MIN_MARGIN,
+    Episode,
+    KeepOut,
+    Problem,
+    Region,
+    Rules,
+    Start,
+    to_pose,
+)
+from cluttergen_jax.scene import Bank
 from cluttergen_jax.types import Array, Verdict
 
 

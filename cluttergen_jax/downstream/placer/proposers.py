@@ -26,12 +26,16 @@ from cluttergen_jax.downstream.placer.query import (
     without_scores,
 )
 from cluttergen_jax.errors import ConfigError, closest
-from cluttergen_jax.learning.methods import checkpoint_of, proposer_of, with_history_of
-from cluttergen_jax.placement.problem import Problem
-from cluttergen_jax.placement.region import pose_of_action
-from cluttergen_jax.placement.rules import Proposer, Rules
-from cluttergen_jax.placement.search import CLEARANCE, SearchConfig
-from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.learning import checkpoint_of, proposer_of, with_history_of
+from cluttergen_jax.placement import (
+    CLEARANCE,
+    Episode,
+    Problem,
+    Proposer,
+    Rules,
+    SearchConfig,
+    pose_of_action,
+)
 from cluttergen_jax.types import Array
 
 

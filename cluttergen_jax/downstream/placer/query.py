@@ -11,8 +11,7 @@ from flax import struct
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.own_parts import array_of, part_name
-from cluttergen_jax.placement.heightmap import VOID, HeightMap
-from cluttergen_jax.placement.search import UnderSide
+from cluttergen_jax.placement import VOID, HeightMap, UnderSide
 from cluttergen_jax.types import Array
 
 CELL = 0.01

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement.problem import Problem
+from cluttergen_jax.placement import Problem
 from cluttergen_jax.sensing import SUPPORT, Camera, DepthImage, RaySensor, find_preset, sensed_model
-from cluttergen_jax.views import images
+from cluttergen_jax.views import depth_of as metres_of
 
 MANY = "free"
 """The preset that draws: only of it there is more than one camera."""
@@ -127,7 +127,7 @@ def check_cameras(num_cameras: int, preset: str) -> None:
 
 def depth_of(data: bytes, width: int, height: int) -> np.ndarray:
     """f32[H, W], metres, inf where nothing is, from a row's bytes."""
-    return images.depth_of(np.frombuffer(data, "<u2").reshape(height, width), MILLIMETRES)
+    return metres_of(np.frombuffer(data, "<u2").reshape(height, width), MILLIMETRES)
 
 
 def depth_bytes(depth: np.ndarray) -> bytes:

@@ -22,7 +22,7 @@ from cluttergen_jax.downstream.fitting import (
 from cluttergen_jax.downstream.placer.examples import ExampleSource
 from cluttergen_jax.downstream.placer.heads.checkpoint import HEADS, KIND, REMOVED_HEADS, Head
 from cluttergen_jax.errors import ConfigError, closest
-from cluttergen_jax.learning.training.stability import Calibration, calibration, draw_calibration
+from cluttergen_jax.learning import Calibration, calibration, draw_calibration
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.types import Verdict
 

@@ -21,8 +21,7 @@ from cluttergen_jax.files import check_folder
 from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
-    from cluttergen_jax.assets.object import ObjectAsset
-    from cluttergen_jax.assets.support import Rectangle
+    from cluttergen_jax.assets import ObjectAsset, Rectangle
     from cluttergen_jax.downstream.rearrange.observe import Observer
     from cluttergen_jax.downstream.rearrange.perceive import PerceptionObserver
     from cluttergen_jax.downstream.rearrange.pick import LayoutPanel
@@ -230,7 +229,7 @@ def _person(
 ) -> Iterator[LayoutPanel]:
     """A panel in a browser in which layouts are chosen."""
     from cluttergen_jax.downstream.rearrange.pick import LayoutPanel
-    from cluttergen_jax.rendering.viewer.viewer import announce, open_server
+    from cluttergen_jax.rendering import announce, open_server
 
     server = open_server(host, port, "cluttergen: which layout")
     try:
@@ -253,13 +252,12 @@ def _own_scenes(
     setting: str,
 ) -> tuple[OwnScenes, dict[str, object], str]:
     """What of the setting is the user's own, what a recipe says of that if anything, and the pool."""
-    from cluttergen_jax.assets.support import parse_region
-    from cluttergen_jax.assets.support_file import find_support, support_hash
+    from cluttergen_jax.assets import find_support, parse_region, support_hash
     from cluttergen_jax.downstream.bank_scenes import check_one_level
     from cluttergen_jax.downstream.digests import json_digest
     from cluttergen_jax.downstream.rearrange.goals import bank_place, is_bank
     from cluttergen_jax.downstream.rearrange.starts import OwnScenes
-    from cluttergen_jax.scene.bank import read_bank, region_of
+    from cluttergen_jax.scene import read_bank, region_of
 
     found = None if bank is None else read_bank(bank)
     for what, value in (("pool", pool), ("support", support)):
@@ -306,14 +304,13 @@ def _looking(
     """The observer that looks through cameras, for a pool's objects on a support, or for a bank's."""
     from dataclasses import replace
 
-    from cluttergen_jax.assets.pool import find_pool
-    from cluttergen_jax.assets.support_file import find_support
+    from cluttergen_jax.assets import find_pool, find_support
     from cluttergen_jax.downstream.perception.finder import load_finder
     from cluttergen_jax.downstream.perception.segment.network_segmenter import segmenter_folder
     from cluttergen_jax.downstream.rearrange.perceive import PerceptionObserver
-    from cluttergen_jax.learning.ppo import checkpoint
-    from cluttergen_jax.rendering.gl import find_backend
-    from cluttergen_jax.scene.bank import region_of
+    from cluttergen_jax.learning import folder_hash
+    from cluttergen_jax.rendering import find_backend
+    from cluttergen_jax.scene import region_of
     from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, parse_cameras
 
     support = find_support(own.support or "table")
@@ -330,7 +327,7 @@ def _looking(
         support,
         REALSENSE.scale(noise) if noise else NOISE_OFF,
         seed,
-        checkpoint.folder_hash(segmenter_folder(wanted)),
+        folder_hash(segmenter_folder(wanted)),
         parse_cameras(others) if others else (),
         not cameras or len(others) < len(cameras),
         robot,

@@ -13,25 +13,19 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from cluttergen_jax.assets.facts import ObjectFacts
-from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.object_files import object_hash
-from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.assets import ObjectAsset, ObjectFacts, Rectangle, SupportAsset, object_hash
 from cluttergen_jax.downstream.rearrange.layouts import SceneDraw
 from cluttergen_jax.downstream.rearrange.task import RearrangeResult
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement.relations import (
+from cluttergen_jax.placement import (
     KINDS,
-    TABLE,
     Relation,
     can_be_filled,
     candidates_of,
     conditions_of,
-    order_of,
     parse_relations,
 )
-from cluttergen_jax.scene import Scene
-from cluttergen_jax.scene.bank import read_bank, read_scenes
+from cluttergen_jax.scene import Scene, read_bank, read_scenes
 
 _PHRASES = {"on top of": "on", "onto": "on", "into": "in", "inside": "in", "beside": "next_to"}
 _PHRASES |= {kind.replace("_", " "): kind for kind in (*KINDS, "under")}
@@ -135,9 +129,8 @@ class RelationGoals:
             return None
         noise = np.random.default_rng(seed).random(candidates.shape)
         taken = linear_sum_assignment(noise + 1e3 * ~candidates)[1].tolist()
-        roles = [name for name in order_of(self._relations) if name != TABLE]
         subjects = {each.subject for each in self._relations}
-        moved = [k for name, k in zip(roles, taken, strict=True) if name in subjects]
+        moved = [k for name, k in zip(self._conditions, taken, strict=True) if name in subjects]
         rest = [k for k in range(len(numbers)) if k not in moved]
 
         def layouts(draw: int, poses: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from cluttergen_jax.downstream.robot.episode import WATCHED
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.transforms import matrix_of, offset
-from cluttergen_jax.physics.standing import check_standing, displacement, has_moved, watch
+from cluttergen_jax.physics import check_standing, displacement, has_moved, watch
 from cluttergen_jax.scene import Scene
 
 # Metres and radians, up to its symmetry, that each object may be from its place in the chosen layout.

@@ -12,9 +12,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 from scipy.spatial.distance import cdist
 
-from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.support import Rectangle, SupportAsset
-from cluttergen_jax.assets.support_file import find_support
+from cluttergen_jax.assets import ObjectAsset, Rectangle, SupportAsset, find_support
 from cluttergen_jax.config import Method
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
@@ -26,15 +24,13 @@ from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.downstream.words import LayoutRule
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.measures.diversity import embed, scene_distances
-from cluttergen_jax.generation import make_sampler
-from cluttergen_jax.generation.sources.replay import setup_of
+from cluttergen_jax.evaluation import embed, scene_distances
+from cluttergen_jax.generation import make_sampler, setup_of
 from cluttergen_jax.geometry import transform_points
-from cluttergen_jax.learning.methods import choose_method, sampler_of
+from cluttergen_jax.learning import choose_method, sampler_of
 from cluttergen_jax.numerics import new_key
-from cluttergen_jax.placement import config as placement_config
-from cluttergen_jax.placement.region import make_region
-from cluttergen_jax.scene.bank import Bank, region_of
+from cluttergen_jax.placement import MIN_MARGIN, PlacementConfig, make_region
+from cluttergen_jax.scene import Bank, region_of
 from cluttergen_jax.types import Array
 
 AREA = Rectangle((0.0, 0.0), (0.27, 0.32))
@@ -72,9 +68,7 @@ class SceneDraw:
     ) -> None:
         if isinstance(source, Bank):
             self.area = reached_part(region_of(source))
-            config = placement_config.PlacementConfig(
-                num_slots, min_margin=placement_config.MIN_MARGIN, relations=tuple(relations)
-            )
+            config = PlacementConfig(num_slots, min_margin=MIN_MARGIN, relations=tuple(relations))
             setup = setup_of(source, placement=config, region=self.area, num_threads=num_threads)
             problem = setup.problem
             steps = sampler_of(setup, choose_method(method, setup.problem.config.pool))

@@ -18,8 +18,7 @@ from cluttergen_jax.downstream.robot.motion.execute import Execution
 from cluttergen_jax.downstream.transforms import matrix_of, offset, pose_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.own_parts import array_of, part_name
-from cluttergen_jax.rendering.config import CameraView
-from cluttergen_jax.rendering.renderer import Renderer, open_renderer, set_range
+from cluttergen_jax.rendering import CameraView, Renderer, open_renderer, set_range
 from cluttergen_jax.sensing import Camera
 
 _REACH = 1.5

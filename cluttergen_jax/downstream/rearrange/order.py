@@ -11,8 +11,7 @@ import networkx as nx
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from cluttergen_jax.assets.mjcf import populated_spec
-from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets import ObjectAsset, populated_spec
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 
 GAP = 0.005

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets import ObjectAsset
 from cluttergen_jax.downstream.rearrange.layouts import Layouts
 from cluttergen_jax.downstream.rearrange.sheet import layout_words
 from cluttergen_jax.downstream.rearrange.task import RearrangeTask
 from cluttergen_jax.downstream.words import LayoutRule
-from cluttergen_jax.placement.rollout.replay import Replay
-from cluttergen_jax.rendering.viewer.scene_nodes import SceneNodes, add_ghost, aim
+from cluttergen_jax.placement import Replay
+from cluttergen_jax.rendering import SceneNodes, add_ghost, aim
 
 if TYPE_CHECKING:
     import viser

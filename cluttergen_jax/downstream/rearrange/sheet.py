@@ -17,12 +17,18 @@ from cluttergen_jax.downstream.rearrange.task import (
 )
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.rendering.assets import close_points
-from cluttergen_jax.rendering.config import CameraView
-from cluttergen_jax.rendering.figure import GREEN
-from cluttergen_jax.rendering.renderer import Trail
-from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, scene_renderer
-from cluttergen_jax.rendering.sheet import contact_sheet, save_png, with_frame
+from cluttergen_jax.rendering import (
+    GREEN,
+    CameraView,
+    PictureConfig,
+    RenderStyle,
+    Trail,
+    close_points,
+    contact_sheet,
+    open_scene_renderer,
+    save_png,
+    with_frame,
+)
 
 _PICTURE = PictureConfig(360, 270, 16, CameraView(azimuth=0.0, elevation=-58.0))
 """From where the arm stands."""
@@ -63,7 +69,7 @@ def layout_sheet(
     picture = picture or _PICTURE
     standing = [RenderStyle(pose) for pose in scene.poses]
     images = []
-    with scene_renderer(
+    with open_scene_renderer(
         (*scene.objects, *ghosts), scene.support, np.concatenate(points), picture
     ) as shown:
         for number, goal in enumerate(goals):

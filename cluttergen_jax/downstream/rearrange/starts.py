@@ -10,9 +10,7 @@ from functools import cache, cached_property
 
 import numpy as np
 
-from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.assets.symmetry import turn_symmetry
+from cluttergen_jax.assets import ObjectAsset, Rectangle, turn_symmetry
 from cluttergen_jax.config import Method
 from cluttergen_jax.downstream.rearrange.goals import BankGoals, RelationGoals, is_bank
 from cluttergen_jax.downstream.rearrange.layouts import ReachCheck, SceneDraw
@@ -24,8 +22,7 @@ from cluttergen_jax.downstream.robot.grasping.own_grasps import GraspFinder
 from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.geometry import rotate_in_plane
-from cluttergen_jax.scene import Scene
-from cluttergen_jax.scene.bank import Bank, read_scenes
+from cluttergen_jax.scene import Bank, Scene, read_scenes
 
 _MOST_DRAWS = 16
 _MOST_CHOICES = 1000

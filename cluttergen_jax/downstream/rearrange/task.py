@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.assets import Rectangle
 from cluttergen_jax.config import Method
 from cluttergen_jax.downstream.rearrange.layouts import AREA, Layouts, SceneDraw
 from cluttergen_jax.downstream.robot.description import RobotDescription

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets import find_pool
 from cluttergen_jax.config import FilmFormat
 from cluttergen_jax.downstream.digests import constants_hash
 from cluttergen_jax.downstream.rearrange import episode, judge, layouts, moves, observe, order, task
@@ -39,7 +39,7 @@ from cluttergen_jax.downstream.robot.trials import (
     planner_recipe,
 )
 from cluttergen_jax.downstream.rows import RowFile, share_of
-from cluttergen_jax.evaluation.machine import versions
+from cluttergen_jax.evaluation import versions
 from cluttergen_jax.kept_folder import hold_out
 from cluttergen_jax.own_parts import is_own, part_label
 from cluttergen_jax.tables import aligned_table

@@ -16,7 +16,7 @@ from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.spec import SceneSpec
 
 if TYPE_CHECKING:
-    from cluttergen_jax.assets.support import Rectangle
+    from cluttergen_jax.assets import Rectangle
     from cluttergen_jax.downstream.placer.query import Placer, PlainPlacer
     from cluttergen_jax.downstream.robot.description import RobotDescription
     from cluttergen_jax.downstream.robot.grasping.grasp_dataset import GraspDataset
@@ -70,7 +70,7 @@ def robot_grasps(
       MissingExtraError: the extra `robot` is not installed.
       RendererError: a picture is wanted, and nothing here can draw.
     """
-    from cluttergen_jax.assets.pool import find_pool
+    from cluttergen_jax.assets import find_pool
     from cluttergen_jax.downstream.robot.description import find_robot
     from cluttergen_jax.downstream.robot.grasping.grasps import grasp_sets, write_grasps
 
@@ -89,7 +89,7 @@ def robot_grasps(
             write_grasps(Path(out), sets.sets)
         if picture is not None:
             from cluttergen_jax.downstream.robot.grasping.picture import grasp_sheet
-            from cluttergen_jax.rendering.sheet import save_png
+            from cluttergen_jax.rendering import save_png
 
             save_png(grasp_sheet(chosen, sets), picture)
         return sets
@@ -176,7 +176,7 @@ def robot_place(
     from dataclasses import replace
     from typing import Any, get_args
 
-    from cluttergen_jax.api.generate import generate
+    from cluttergen_jax import generate
     from cluttergen_jax.downstream.bank_scenes import bank_or_made, poses_of
     from cluttergen_jax.downstream.digests import json_digest
     from cluttergen_jax.downstream.placer.heads.checkpoint import placer_folder
@@ -185,10 +185,9 @@ def robot_place(
     from cluttergen_jax.downstream.robot.places import CameraPlacer, SearchPlaces
     from cluttergen_jax.downstream.robot.recorder import RecordAsked
     from cluttergen_jax.downstream.robot.trials import keep_upright_last, own_place, run_trials
-    from cluttergen_jax.learning.methods import checkpoint_of
-    from cluttergen_jax.learning.ppo import checkpoint
+    from cluttergen_jax.learning import checkpoint_of, folder_hash
     from cluttergen_jax.own_parts import part_label, part_name
-    from cluttergen_jax.scene.bank import Bank, read_scenes, region_of
+    from cluttergen_jax.scene import Bank, read_scenes, region_of
 
     check_folder(out)
     check_workers("num_threads", num_threads)
@@ -234,7 +233,7 @@ def robot_place(
             found, looking, str(placer) if is_named else part_name(placer), factor
         )
         trained = placer_folder(placer) if isinstance(placer, str | Path) else None
-        rows |= {"noise": factor, "weights": trained and checkpoint.folder_hash(trained)}
+        rows |= {"noise": factor, "weights": trained and folder_hash(trained)}
     elif task == "place" and placer != "none":
         places = SearchPlaces(found, str(placer), seed, threads)
         policy = checkpoint_of(str(placer), str(recipe.get("pool")))
@@ -260,7 +259,7 @@ def _usual_region(support: str | Path) -> Rectangle:
     """The middle of a support's region, which the arm reaches: half a metre a side at most."""
     from dataclasses import replace
 
-    from cluttergen_jax.assets.support_file import find_support
+    from cluttergen_jax.assets import find_support
 
     region = find_support(support).region
     half_x, half_y = region.half_extents
@@ -350,7 +349,7 @@ def grasp_dataset(
 
     from cluttergen_jax.downstream.robot.description import find_robot
     from cluttergen_jax.downstream.robot.grasping.grasp_dataset import GraspPlan, make
-    from cluttergen_jax.scene.bank.remote import bank_folder
+    from cluttergen_jax.scene import bank_folder
 
     check_folder(out)
     check_workers("num_threads", num_threads)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets import SupportAsset
 from cluttergen_jax.downstream.transforms import rigid
 from cluttergen_jax.sensing import REALSENSE_FOCAL, Camera, intrinsics, overhead
 

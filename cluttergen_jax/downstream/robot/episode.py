@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cluttergen_jax.assets.support import Box, SupportAsset
+from cluttergen_jax.assets import Box, SupportAsset
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
@@ -24,7 +24,7 @@ from cluttergen_jax.downstream.robot.protocols import PathPlanner
 from cluttergen_jax.downstream.robot.sensing_arm import SensingArm
 from cluttergen_jax.downstream.transforms import angle_between, matrix_of, motion_between
 from cluttergen_jax.geometry import product, rotate_in_plane, yaw_quaternion
-from cluttergen_jax.physics.standing import has_moved
+from cluttergen_jax.physics import has_moved
 from cluttergen_jax.scene import Scene
 
 STAND_SIDE = 0.26

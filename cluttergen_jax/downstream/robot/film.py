@@ -16,15 +16,21 @@ from cluttergen_jax.downstream.robot.outcome import EpisodeRow
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import inside
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.rendering.camera import fit_camera
-from cluttergen_jax.rendering.config import CameraView
-from cluttergen_jax.rendering.figure import GREEN
-from cluttergen_jax.rendering.film import check_format, save_film
-from cluttergen_jax.rendering.gl import find_backend
-from cluttergen_jax.rendering.lighting import KEY_LIGHT, add_lighting
-from cluttergen_jax.rendering.renderer import open_renderer, set_range
-from cluttergen_jax.rendering.scene_renderer import RED
-from cluttergen_jax.rendering.sheet import with_caption, with_frame
+from cluttergen_jax.rendering import (
+    GREEN,
+    KEY_LIGHT,
+    RED,
+    CameraView,
+    add_lighting,
+    check_format,
+    find_backend,
+    fit_camera,
+    open_renderer,
+    save_film,
+    set_range,
+    with_caption,
+    with_frame,
+)
 
 RowT = TypeVar("RowT", bound=EpisodeRow)
 

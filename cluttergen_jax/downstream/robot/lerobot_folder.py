@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 from cluttergen_jax.downstream.robot.recording import FPS, RecordCameras, Recording, hold_folder
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
-from cluttergen_jax.rendering.film import find_ffmpeg, save_film
+from cluttergen_jax.rendering import find_ffmpeg, save_film
 
 _CHUNK = 1000
 _DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"

@@ -8,8 +8,7 @@ from typing import Self
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets.mjcf import VISUAL_GROUP
-from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets import VISUAL_GROUP, SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.description import (
     GripperDescription,

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.assets import Rectangle
 from cluttergen_jax.downstream.bank_scenes import check_one_level
 from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes, ProposalJudge, world_pose
@@ -30,13 +30,11 @@ from cluttergen_jax.downstream.robot.motion.occupancy_boxes import (
     occupancy_boxes,
 )
 from cluttergen_jax.downstream.transforms import matrix_of
-from cluttergen_jax.generation.sources.replay import setup_of
+from cluttergen_jax.generation import setup_of
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.own_parts import is_own
-from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.search import Candidates, lower_onto
-from cluttergen_jax.scene import Scene
-from cluttergen_jax.scene.bank import Bank
+from cluttergen_jax.placement import Candidates, Rules, lower_onto
+from cluttergen_jax.scene import Bank, Scene
 from cluttergen_jax.sensing import REALSENSE, Camera, merge_maps
 from cluttergen_jax.types import Array, Verdict
 

@@ -17,7 +17,7 @@ from cluttergen_jax.downstream.words import RecordFormat
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.files import check_folder
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.rendering.gl import find_backend
+from cluttergen_jax.rendering import find_backend
 
 Row = TypeVar("Row", bound=EpisodeRow)
 

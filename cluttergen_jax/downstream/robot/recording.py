@@ -12,7 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets import SupportAsset
 from cluttergen_jax.downstream.robot.cameras import FOCAL, SIZE, wrist_camera
 from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.robot.motion.execute import Trace
@@ -21,9 +21,7 @@ from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.geometry import rotate_in_plane
 from cluttergen_jax.kept_folder import FolderLock, KeptFolder, check_recipe
-from cluttergen_jax.rendering.config import CameraView
-from cluttergen_jax.rendering.lighting import add_lighting
-from cluttergen_jax.rendering.renderer import open_renderer, set_range
+from cluttergen_jax.rendering import CameraView, add_lighting, open_renderer, set_range
 from cluttergen_jax.schema import SchemaError, checked_record, with_checksum
 from cluttergen_jax.sensing import Camera, CameraPlan, parse_cameras
 

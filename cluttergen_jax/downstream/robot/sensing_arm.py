@@ -6,9 +6,7 @@ import mujoco
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from cluttergen_jax.assets.mjcf import VISUAL_GROUP, add_part
-from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.support import Box, SupportAsset
+from cluttergen_jax.assets import VISUAL_GROUP, Box, ObjectAsset, SupportAsset, add_part
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.cameras import wrist_camera
 from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot

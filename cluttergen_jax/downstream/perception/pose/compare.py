@@ -17,7 +17,7 @@ from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.perception.types import BACKGROUND
 from cluttergen_jax.downstream.transforms import pose_of
 from cluttergen_jax.sensing import Camera
-from cluttergen_jax.views.view import View
+from cluttergen_jax.views import View
 
 AGREES = 0.006
 """Metres by which depths may differ and agree by half."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.assets.symmetry import ROUND
+from cluttergen_jax.assets import ROUND
 from cluttergen_jax.downstream.perception.pose.models import ObjectModel
 from cluttergen_jax.downstream.transforms import inverse
 from cluttergen_jax.errors import MissingExtraError

@@ -9,9 +9,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
-from cluttergen_jax.assets.mesh import join_meshes
-from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.symmetry import turn_symmetry
+from cluttergen_jax.assets import ObjectAsset, join_meshes, turn_symmetry
 from cluttergen_jax.sensing import RaySensor, sensed_model
 
 NUM_POINTS = 3000

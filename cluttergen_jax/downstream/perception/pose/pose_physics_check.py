@@ -7,9 +7,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets.mjcf import populated_spec
-from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets import ObjectAsset, SupportAsset, populated_spec
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 
 NUM_STEPS = 20

@@ -8,9 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.assets.symmetry import turn_matrix
+from cluttergen_jax.assets import ObjectAsset, SupportAsset, turn_matrix
 from cluttergen_jax.downstream.perception.pose.compare import Comparer
 from cluttergen_jax.downstream.perception.pose.icp import (
     FreeRegistration,
@@ -23,7 +21,7 @@ from cluttergen_jax.downstream.perception.types import PoseEstimate
 from cluttergen_jax.downstream.transforms import matrix_of, offset, pose_of, rigid, shift_along
 from cluttergen_jax.errors import ConfigError, range_text
 from cluttergen_jax.geometry import rotation_matrix
-from cluttergen_jax.views.view import View
+from cluttergen_jax.views import View
 
 FEWEST_PIXELS = 40
 """Of an object, below which no pose is sought."""

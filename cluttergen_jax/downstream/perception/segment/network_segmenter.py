@@ -29,7 +29,7 @@ from cluttergen_jax.downstream.perception.types import (
     check_images,
 )
 from cluttergen_jax.errors import PoolError
-from cluttergen_jax.learning.ppo import checkpoint
+from cluttergen_jax.learning import folder_hash, read_policy, read_record
 from cluttergen_jax.sensing import Camera
 
 _STEP = 0.008
@@ -253,7 +253,7 @@ def load_segmenter(segmenter: str | Path) -> NetworkSegmenter:
       PoolError: there is none, it is damaged, or of another kind.
     """
     path = segmenter_folder(segmenter)
-    record = checkpoint.read_record(path)
+    record = read_record(path)
     if record.get("kind") != KIND:
         raise PoolError(
             f"{path} holds a network of kind {record.get('kind')!r}, no segmenter", hint=_HINT
@@ -272,9 +272,9 @@ def load_segmenter(segmenter: str | Path) -> NetworkSegmenter:
         raise PoolError(
             f"{place} does not say what network it holds ({error})", hint=_HINT
         ) from error
-    return NetworkSegmenter(names, checkpoint.read_policy(path, blank), config, top)
+    return NetworkSegmenter(names, read_policy(path, blank), config, top)
 
 
 def network_hash(folder: Path) -> str:
     """The digest of a segmenter's own files, without the rule of certainty beside them."""
-    return checkpoint.folder_hash(folder, ("record.json", "weights.npz"))
+    return folder_hash(folder, ("record.json", "weights.npz"))

@@ -9,7 +9,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets import SupportAsset
 from cluttergen_jax.downstream.fitting import FitConfig, FitRun, FitState
 from cluttergen_jax.downstream.perception.segment.network import (
     HEIGHT,
@@ -27,7 +27,7 @@ from cluttergen_jax.downstream.perception.views.store import StoredView, ViewSet
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, NoiseConfig, noisy
-from cluttergen_jax.views.view import View
+from cluttergen_jax.views import View
 
 _TENTH = 10
 

@@ -18,9 +18,7 @@ import numpy as np
 import pyarrow as pa
 from scipy.spatial.transform import Rotation
 
-from cluttergen_jax.assets.mjcf import VISUAL_GROUP
-from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets import VISUAL_GROUP, ObjectAsset, SupportAsset
 from cluttergen_jax.config import Variation
 from cluttergen_jax.downstream.bank_scenes import StableScenes
 from cluttergen_jax.downstream.perception.types import ARM, BACKGROUND, FIRST_OBJECT
@@ -37,16 +35,11 @@ from cluttergen_jax.downstream.robot.model import Robot, with_robot
 from cluttergen_jax.downstream.transforms import rigid
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.rendering.lighting import add_lighting
-from cluttergen_jax.rendering.renderer import HIDDEN_GROUP
-from cluttergen_jax.rendering.scene_renderer import PictureConfig
-from cluttergen_jax.rendering.variation import TEXTURES_OF
-from cluttergen_jax.scene import Scene
-from cluttergen_jax.scene.bank import Bank
+from cluttergen_jax.rendering import HIDDEN_GROUP, TEXTURES_OF, PictureConfig, add_lighting
+from cluttergen_jax.scene import Bank, Scene
 from cluttergen_jax.sensing import Camera, free
 from cluttergen_jax.statistics import is_of_share
-from cluttergen_jax.views.maker import ViewMaker
-from cluttergen_jax.views.view import View
+from cluttergen_jax.views import View, ViewMaker
 
 
 def expose(rgb: np.ndarray, rng: np.random.Generator) -> np.ndarray:

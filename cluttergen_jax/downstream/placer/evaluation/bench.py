@@ -24,13 +24,20 @@ from cluttergen_jax.downstream.placer.query import (
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.own_parts import is_own, part_name
-from cluttergen_jax.physics.paper_count import PaperCount
-from cluttergen_jax.placement.heightmap import HeightMapper
-from cluttergen_jax.placement.problem import Setup
-from cluttergen_jax.placement.region import KeepOut, from_pose, to_pose
-from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.search import CLEARANCE, Candidates, lower_onto, under_side
-from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.physics import PaperCount
+from cluttergen_jax.placement import (
+    CLEARANCE,
+    Candidates,
+    Episode,
+    HeightMapper,
+    KeepOut,
+    Rules,
+    Setup,
+    from_pose,
+    lower_onto,
+    to_pose,
+    under_side,
+)
 from cluttergen_jax.progress import interruptible
 from cluttergen_jax.types import Array, Verdict
 

@@ -16,7 +16,7 @@ from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes, Propo
 from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer, PlainPlacer
 from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras, check_cameras
 from cluttergen_jax.numerics import new_key
-from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.placement import Episode
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.sensing import NoiseConfig
 from cluttergen_jax.statistics import proportion

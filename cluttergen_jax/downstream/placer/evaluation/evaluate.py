@@ -32,14 +32,12 @@ from cluttergen_jax.downstream.placer.query import PlacementQuery, Placer, Plain
 from cluttergen_jax.downstream.placer.scene_cameras import check_cameras
 from cluttergen_jax.downstream.samples import SPLITS
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.machine import versions
-from cluttergen_jax.evaluation.store import Store, json_bytes
+from cluttergen_jax.evaluation import Store, json_bytes, versions
 from cluttergen_jax.files import write_atomically
-from cluttergen_jax.learning.methods import checkpoint_of
-from cluttergen_jax.learning.ppo import checkpoint
+from cluttergen_jax.learning import checkpoint_of, folder_hash
 from cluttergen_jax.own_parts import part_label, part_name
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.scene.bank import Bank, read_bank
+from cluttergen_jax.scene import Bank, read_bank
 from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, NoiseConfig
 from cluttergen_jax.statistics import proportion
 from cluttergen_jax.tables import Table
@@ -217,7 +215,7 @@ class PlacerTrials:
             weights = part_label(placer, "placers")
         else:
             folder = placer_folder(placer)
-            weights = None if folder is None else checkpoint.folder_hash(folder)
+            weights = None if folder is None else folder_hash(folder)
         told = {name: value for name, value in self.made.items() if name != "num_pairs"}
         return {
             "pairs": json_digest([told, self.pairs.record["assets"]]),

@@ -10,7 +10,7 @@ from cluttergen_jax.downstream.fitting import Learner, blank_params, config_of, 
 from cluttergen_jax.downstream.placer.heads.scored import ScoredConfig, ScoredHead
 from cluttergen_jax.downstream.placer.query import Example, Placer
 from cluttergen_jax.errors import PoolError
-from cluttergen_jax.learning.ppo import checkpoint
+from cluttergen_jax.learning import read_policy, read_record
 
 
 class Head(Learner, Protocol):
@@ -97,7 +97,7 @@ def load_placer(path: Path, wanted: str | None = None) -> Placer:
       PoolError: there is none, it is damaged, or of another kind or head.
     """
     try:
-        record = checkpoint.read_record(path)
+        record = read_record(path)
     except PoolError as error:
         raise PoolError(error.given, hint=_HINT) from error
     head = head_of(record, path, wanted)
@@ -106,4 +106,4 @@ def load_placer(path: Path, wanted: str | None = None) -> Placer:
         raise PoolError(
             f"{path / 'record.json'}: temperature {temperature!r}", "a positive number", _HINT
         )
-    return head.placer(checkpoint.read_policy(path, blank_params(head)), float(temperature))
+    return head.placer(read_policy(path, blank_params(head)), float(temperature))

@@ -7,9 +7,10 @@ import numpy as np
 from flax import struct
 
 from cluttergen_jax.downstream.placer.query import PlacementQuery
-from cluttergen_jax.placement.heightmap import VOID, HeightMap
-from cluttergen_jax.placement.search import (
+from cluttergen_jax.placement import (
+    VOID,
     Candidates,
+    HeightMap,
     base_share,
     cells_under,
     crowding,

@@ -24,8 +24,7 @@ from cluttergen_jax.downstream.placer.heads.features import (
 )
 from cluttergen_jax.downstream.placer.map_search import best_apart, draw
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, Example, PlacementQuery, Proposals
-from cluttergen_jax.placement.heightmap import HeightMap
-from cluttergen_jax.placement.search import CLEARANCE, Candidates, lower_onto
+from cluttergen_jax.placement import CLEARANCE, Candidates, HeightMap, lower_onto
 from cluttergen_jax.types import Array, Verdict
 
 _PATCH = 4

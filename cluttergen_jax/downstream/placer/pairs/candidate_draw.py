@@ -12,11 +12,16 @@ import numpy as np
 from cluttergen_jax.downstream.placer.map_search import draw, finalists, look
 from cluttergen_jax.downstream.placer.query import PlacementQuery
 from cluttergen_jax.numerics import new_key
-from cluttergen_jax.placement.heightmap import HeightMap
-from cluttergen_jax.placement.methods.baselines import LowestFit
-from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.search import CLEARANCE, Candidates, SearchConfig, draw_candidates
-from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.placement import (
+    CLEARANCE,
+    Candidates,
+    Episode,
+    HeightMap,
+    LowestFit,
+    Rules,
+    SearchConfig,
+    draw_candidates,
+)
 from cluttergen_jax.types import Array
 
 # Sources: a search on the true map, one on what the camera saw, and poses drawn uniformly.

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.assets.pool import public_name
+from cluttergen_jax.assets import public_name
 from cluttergen_jax.downstream.placer.pairs.candidate_draw import PARTIAL_MAP, RANDOM, TRUE_MAP
 from cluttergen_jax.downstream.placer.pairs.store import SCHEMA, PairSet
 from cluttergen_jax.downstream.samples import SPLITS
-from cluttergen_jax.scene.bank import Bank, assets_section, front_matter, write_unless_own
+from cluttergen_jax.scene import Bank, assets_section, front_matter, write_unless_own
 from cluttergen_jax.tables import markdown_table
 from cluttergen_jax.types import Verdict
 

@@ -27,9 +27,9 @@ from cluttergen_jax.downstream.placer.query import PlacementQuery
 from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras, depth_bytes, depth_of
 from cluttergen_jax.downstream.samples import SPLITS
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.placement import Episode
 from cluttergen_jax.progress import COMPILING, Progress
-from cluttergen_jax.scene.bank import Bank
+from cluttergen_jax.scene import Bank
 from cluttergen_jax.sensing import FIRST_OBJECT, NOISE_OFF, REALSENSE, SUPPORT, Camera
 
 

@@ -33,11 +33,11 @@ from cluttergen_jax.downstream.placer.scene_cameras import (
 from cluttergen_jax.downstream.samples import SPLITS, SampleFormat, SampleSet
 from cluttergen_jax.downstream.words import MAX_PAIRS
 from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.generation.sources.replay import setup_of
+from cluttergen_jax.generation import setup_of
 from cluttergen_jax.geometry import product, rotation_matrix
-from cluttergen_jax.placement.problem import Problem, Setup
+from cluttergen_jax.placement import Problem, Setup
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.scene.bank import Bank
+from cluttergen_jax.scene import Bank
 from cluttergen_jax.schema import Numbers, SchemaError, refuse
 from cluttergen_jax.sensing import NOISE_OFF, Camera, NoiseConfig
 from cluttergen_jax.types import Verdict

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets import Mesh
 
 FRICTION = 0.4
 """Sliding coefficient that grasps are sought with; the simulator's is 0.5 for most objects."""

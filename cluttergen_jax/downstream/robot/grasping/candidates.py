@@ -7,8 +7,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets.mjcf import add_object
-from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets import ObjectAsset, add_object
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping.antipodal import Pairs, Union, sample_pairs

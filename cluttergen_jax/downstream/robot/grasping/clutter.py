@@ -10,9 +10,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets.mjcf import VISUAL_GROUP, populated_spec
-from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.object_files import object_hash
+from cluttergen_jax.assets import VISUAL_GROUP, ObjectAsset, object_hash, populated_spec
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping.antipodal import Pairs, Union, sample_pairs
 from cluttergen_jax.downstream.robot.grasping.candidates import MARGIN, draw_approaches

@@ -13,8 +13,7 @@ import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
 
-from cluttergen_jax.assets.mjcf import add_object
-from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets import ObjectAsset, add_object
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
 from cluttergen_jax.downstream.robot.grasping.candidates import OBJECT, Candidates

@@ -23,9 +23,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.obj import mesh_text
-from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets import Mesh, ObjectAsset, mesh_text
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping import vgn
 from cluttergen_jax.downstream.robot.grasping.clutter import (
@@ -40,15 +38,20 @@ from cluttergen_jax.downstream.robot.grasping.clutter import (
 )
 from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
-from cluttergen_jax.evaluation.machine import versions
+from cluttergen_jax.evaluation import versions
 from cluttergen_jax.files import remove_partial, write_atomically, writing
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.scene import Scene
-from cluttergen_jax.scene.bank import assets_section, front_matter, read_bank, write_unless_own
-from cluttergen_jax.scene.bank.scene import read_scenes
+from cluttergen_jax.scene import (
+    Scene,
+    assets_section,
+    front_matter,
+    read_bank,
+    read_scenes,
+    write_unless_own,
+)
 from cluttergen_jax.sensing import REALSENSE, Camera, noisy
 from cluttergen_jax.tables import markdown_table
-from cluttergen_jax.views.shards import begin_record, dataset_folder
+from cluttergen_jax.views import begin_record, dataset_folder
 
 GRASPS = "grasps.parquet"
 _CONTENT = "grasps"

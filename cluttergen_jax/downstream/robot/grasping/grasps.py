@@ -21,9 +21,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from mujoco.rollout import Rollout
 
-from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.object_files import object_hash
-from cluttergen_jax.assets.pool import user_root
+from cluttergen_jax.assets import ObjectAsset, object_hash, user_root
 from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
 from cluttergen_jax.downstream.robot.grasping.candidates import Candidates, candidates_of, spread
 from cluttergen_jax.downstream.robot.grasping.grasp_check import MAX_LOAD, GraspCheck, check_grasps

@@ -11,8 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.object_files import object_hash
+from cluttergen_jax.assets import ObjectAsset, object_hash
 from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
 from cluttergen_jax.downstream.robot.grasping.grasps import (
     Grasps,

@@ -6,13 +6,11 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets import ObjectAsset
 from cluttergen_jax.downstream.robot.grasping.grasp_check import MAX_LOAD
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.transforms import matrix_of
-from cluttergen_jax.rendering.assets import render_object
-from cluttergen_jax.rendering.renderer import Trail
-from cluttergen_jax.rendering.sheet import contact_sheet
+from cluttergen_jax.rendering import Trail, contact_sheet, render_object
 
 _MOST = 24
 """Of an object: more hide it."""

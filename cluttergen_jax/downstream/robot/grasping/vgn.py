@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets import SupportAsset
 from cluttergen_jax.downstream.robot.grasping.clutter import FINGER_DEPTH
 from cluttergen_jax.downstream.transforms import inverse, pose_of, rigid, shift_along
 from cluttergen_jax.geometry import rotate_in_plane

@@ -8,9 +8,14 @@ from enum import IntEnum
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets.mjcf import VISUAL_GROUP, add_part, populated_spec
-from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.support import Box, SupportAsset
+from cluttergen_jax.assets import (
+    VISUAL_GROUP,
+    Box,
+    ObjectAsset,
+    SupportAsset,
+    add_part,
+    populated_spec,
+)
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
 from cluttergen_jax.downstream.robot.gripper import gripper_of

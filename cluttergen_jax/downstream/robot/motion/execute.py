@@ -13,8 +13,7 @@ from enum import IntEnum
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets.mjcf import VISUAL_GROUP
-from cluttergen_jax.assets.support import Box
+from cluttergen_jax.assets import VISUAL_GROUP, Box
 from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
 from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.robot.model import Robot, with_robot

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cluttergen_jax.assets.support import Box
-from cluttergen_jax.placement.heightmap import VOID
+from cluttergen_jax.assets import Box
+from cluttergen_jax.placement import VOID
 from cluttergen_jax.sensing import PartialMap
 
 CELL = 0.005
