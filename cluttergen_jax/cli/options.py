@@ -123,7 +123,7 @@ class Command:
             fields.values(), key=lambda field: field[2].default is not dataclasses.MISSING
         )
         made = self._class(ordered)
-        for field in dataclasses.fields(made):
+        for field in dataclasses.fields(made):  # type: ignore[arg-type]
             if field.name not in docs:
                 continue
             about = " ".join(docs[field.name].split())
