@@ -348,7 +348,7 @@ def stability_of(given: object) -> StabilityConfig:
     usual = StabilityConfig()
     if isinstance(given, StabilityConfig):
         if fixed := [name for name in _DECIDED if getattr(given, name) != getattr(usual, name)]:
-            raise _decided(fixed[0])
+            raise _no_choice_of(fixed[0])
         return given
     pairs: list[tuple[str, object]] = []
     if isinstance(given, str):
@@ -371,7 +371,7 @@ def stability_of(given: object) -> StabilityConfig:
     found: dict[str, float] = {}
     for name, value in pairs:
         if name in _DECIDED:
-            raise _decided(name)
+            raise _no_choice_of(name)
         if name not in allowed:
             raise ConfigError(
                 f"stability {name!r}",
@@ -398,7 +398,7 @@ def stability_of(given: object) -> StabilityConfig:
     return replace(usual, **changes)
 
 
-def _decided(name: str) -> ConfigError:
+def _no_choice_of(name: str) -> ConfigError:
     return ConfigError(
         f"stability with another {name}",
         "limits; engine, contacts, `setting` and `robust` decide this",
@@ -440,16 +440,18 @@ def stability_text(config: StabilityConfig) -> str:
         limit = given[places[0]]
         alike = (limit, min(limit, usual[places[1]]), limit)
         if changed.keys() & {*places} and tuple(given[place] for place in places) == alike:
-            words.append(f"{name}={_written(name, limit)}")
+            words.append(f"{name}={_limit_text(name, limit)}")
             for place in places:
                 changed.pop(place, None)
     words += [
-        f"{name}={_written(name, value)}" for name, value in changed.items() if name not in _DECIDED
+        f"{name}={_limit_text(name, value)}"
+        for name, value in changed.items()
+        if name not in _DECIDED
     ]
     return ",".join(words)
 
 
-def _written(name: str, value: float) -> str:
+def _limit_text(name: str, value: float) -> str:
     """A limit as text that is read as the same number, angles in degrees where they can be."""
     degrees = f"{math.degrees(value):.6g}deg"
     is_angle = "turn" in name or "angular" in name

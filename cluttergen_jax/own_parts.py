@@ -5,10 +5,14 @@ from __future__ import annotations
 import dis
 import functools
 import hashlib
+import importlib
+import importlib.util
 import inspect
 import io
 import pickle
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any
 
@@ -16,12 +20,81 @@ import numpy as np
 
 from cluttergen_jax.errors import ConfigError
 
+_PLACE = "FILE.py:NAME or MODULE:NAME"
+_FROM_FILE = "cluttergen_own_file"
+"""Before the name of a module that was run from a user's file."""
 _FAULTS = (OSError, TypeError, AttributeError, ValueError, RecursionError, pickle.PicklingError)
 
 
 def is_own(part: Any) -> bool:
     """Whether a part is a user's, not one of this package."""
     return not _home_of(part).startswith("cluttergen_jax.")
+
+
+def load_module(text: str, what: str) -> tuple[ModuleType, str, str]:
+    """What stands before the colon of "FILE.py:NAME" or "MODULE:NAME", imported.
+
+    A module that is not installed may be a file below the working directory. A file is run once for as long
+    as its content stays the same.
+
+    Args:
+      text: of a user. what: the argument that it was given as.
+
+    Returns:
+      the module, NAME, and the text, with the file's absolute path.
+
+    Raises:
+      ConfigError: the text is of another form, or importing fails.
+    """
+    where, _, name = text.rpartition(":")
+    file = Path(where if where.endswith(".py") else f"{where.replace('.', '/')}.py")
+    if not where or not name:
+        raise ConfigError(f"{what} {text!r}", _PLACE, "my_file.py:mine")
+    try:
+        if where.endswith(".py") or (_is_missing(where) and file.is_file()):
+            file = file.resolve()
+            return _run_file(file), name, f"{file}:{name}"
+        return importlib.import_module(where), name, text
+    except Exception as error:  # A user's file raises whatever it does.
+        raise ConfigError(
+            f"{what} {text!r}, of which {where!r} cannot be imported: {error} ({type(error).__name__})",
+            _PLACE,
+            "the path of a file that `python` runs without an error",
+        ) from error
+
+
+def _is_missing(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is None
+    except (ImportError, ValueError):
+        return True
+
+
+def _run_file(file: Path) -> ModuleType:
+    if not file.is_file():
+        raise FileNotFoundError(f"there is no file {file}")
+    digest = _digest_of(str(file).encode(), file.read_bytes())
+    name = f"{_FROM_FILE}.{digest}.{file.stem}"
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = importlib.util.spec_from_file_location(name, file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    # Dataclasses of the file look for their module there.
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
+
+
+def module_name(part: Any) -> str:
+    """The module of a function or class, one from a file without what tells files apart."""
+    name = str(part.__module__)
+    return name.split(".", 2)[2] if name.startswith(f"{_FROM_FILE}.") else name
 
 
 def _home_of(part: Any) -> str:

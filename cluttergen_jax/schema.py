@@ -110,11 +110,11 @@ def read_json(path: str | os.PathLike[str], allow_nan: bool = False, most: int =
     """
     data = read_written(path, most)
     if str(path).endswith(".gz"):
-        data = _unpacked(data, most)
+        data = _unpack(data, most)
     return parse_json(data, allow_nan)
 
 
-def _unpacked(data: bytes, most: int) -> bytes:
+def _unpack(data: bytes, most: int) -> bytes:
     try:
         with gzip.open(io.BytesIO(data)) as file:
             found = file.read(most + 1)

@@ -381,7 +381,7 @@ class SceneSpec:
         """Refuses poses with a method that sees clouds of upright objects (ConfigError)."""
         entry = entry_of(method)
         if self.poses != "upright" and "poses" not in entry.takes:
-            given = f"poses = {self.poses!r} with method {method!r}"
+            given = f"poses = {self.poses!r} with method {str(method)!r}"
             allowed = ", ".join(takers("poses"))
             given += entry.own_poses
             raise ConfigError(given, f"poses='upright', or method {allowed}", "method='guided'")
@@ -390,23 +390,23 @@ class SceneSpec:
         """Refuses what is asked of scenes that a method cannot bring about (ConfigError)."""
         entry = entry_of(method)
         if self.height != "rest" and "height" not in entry.takes:
-            given = f"height = {self.height!r} with method {method!r}"
+            given = f"height = {self.height!r} with method {str(method)!r}"
             raise ConfigError(given, "height='rest'", f"method={takers('height')[0]!r}")
         self.check_poses(method)
         if entry.limits_stack and self.clutter is not None:
             targets = Clutter.of(self.clutter).targets
             if others := [name for name in targets if name != "stack"]:
-                given = f"clutter {others[0]}={targets[others[0]]:g} with method {method!r}"
+                given = f"clutter {others[0]}={targets[others[0]]:g} with method {str(method)!r}"
                 allowed = (
                     "stack, the most objects that may rest on others; or with guided or spread"
                 )
                 raise ConfigError(given, allowed, f"method={TRUSTED[0]!r}")
         wanted = [name for name in TARGETS if getattr(self, name) and name not in entry.takes]
         if wanted:
-            given = f"`{wanted[0]}` with method {method!r}"
+            given = f"`{wanted[0]}` with method {str(method)!r}"
             raise ConfigError(given, f"with {' or '.join(TRUSTED)}", f"method={TRUSTED[0]!r}")
         if self.clearance is not None and "clearance" not in entry.takes:
-            given = f"clearance = {self.clearance!r} with method {method!r}"
+            given = f"clearance = {self.clearance!r} with method {str(method)!r}"
             known = takers("clearance")
             raise ConfigError(given, f"with {' or '.join(known)}", f"method={known[0]!r}")
         if not entry.is_whole:
@@ -426,7 +426,8 @@ class SceneSpec:
         if wanted:
             value = getattr(self, wanted[0])
             raise ConfigError(
-                f"{wanted[0]} = {value!r} with method {method!r}, which lets all objects fall into a heap",
+                f"{wanted[0]} = {value!r} with method {str(method)!r}, "
+                "which lets all objects fall into a heap",
                 "leaving it out",
                 f"method={TRUSTED[0]!r}, which places one object after another",
             )

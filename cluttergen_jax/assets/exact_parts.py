@@ -245,7 +245,7 @@ def exact_parts(solid: Solid, most: int) -> ExactParts:
         holes = free[0]
         if not is_convex(component):
             own, holes = _prisms(component, solid.diagonal) or (
-                _revolved(component, solid.diagonal),
+                _sectors_of_revolution(component, solid.diagonal),
                 holes,
             )
             own = own if _are_near(own, component.vertices, _NEAR * solid.diagonal) else []
@@ -352,7 +352,7 @@ def _inside_of(ring: np.ndarray) -> np.ndarray:
     )
 
 
-def _revolved(mesh: Mesh, size: float) -> list[np.ndarray]:
+def _sectors_of_revolution(mesh: Mesh, size: float) -> list[np.ndarray]:
     """A closed mesh as sectors of a solid of revolution; none if it is no such solid."""
     try:
         mass = mass_properties(mesh, 1.0)
@@ -383,16 +383,16 @@ def _sectors(piece: np.ndarray, size: float) -> list[np.ndarray]:
     inner = piece[:, 0].min()
     outer = piece[:, 0].max()
     if inner < 10 * _SAME * size:
-        return [_turned(piece, np.linspace(0, 2 * np.pi, 64, endpoint=False))]
+        return [_sweep(piece, np.linspace(0, 2 * np.pi, 64, endpoint=False))]
     # Plane walls that touch the round ones in their middle, and are so far from them at their ends.
     half = np.arccos(outer / (outer + _SECTOR_REACH * size))
     number = int(np.clip(np.ceil(np.pi / half), 6, 16))
     middles = 2 * np.pi / number * np.arange(number)
     wider = piece * [1 / np.cos(np.pi / number), 1]
-    return [_turned(wider, middle + np.pi / number * np.array([-1, 1])) for middle in middles]
+    return [_sweep(wider, middle + np.pi / number * np.array([-1, 1])) for middle in middles]
 
 
-def _turned(piece: np.ndarray, angles: np.ndarray) -> np.ndarray:
+def _sweep(piece: np.ndarray, angles: np.ndarray) -> np.ndarray:
     around = np.column_stack([np.cos(angles), np.sin(angles)])
     return np.concatenate(
         [np.column_stack([radius * around, np.full(len(angles), z)]) for radius, z in piece]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import manifold3d
 import numpy as np
 
-from cluttergen_jax.assets.mesh import Mesh, connected, shared_edges
+from cluttergen_jax.assets.mesh import Mesh, component_labels, shared_edges
 from cluttergen_jax.geometry import plane_axes, triangle_areas
 
 _FLAT = 1e-4
@@ -80,8 +80,8 @@ def _places(near: _Neighbours, number: int) -> Iterator[np.ndarray]:
     """
     if not near.is_fold.any():
         return
-    whole = connected(near.pairs, number)
-    folded = connected(near.pairs[near.is_fold], number)
+    whole = component_labels(near.pairs, number)
+    folded = component_labels(near.pairs[near.is_fold], number)
     for each in np.unique(whole[near.pairs[near.is_fold, 0]]):
         yield np.flatnonzero(whole == each)
     for each in np.unique(folded[near.pairs[near.is_fold, 0]]):

@@ -120,7 +120,7 @@ def clean_mesh(mesh: Mesh, is_closed: bool = False) -> Mesh:
     return Mesh(mesh.vertices[first][used], faces.reshape(-1, 3))
 
 
-def connected(pairs: np.ndarray, count: int) -> np.ndarray:
+def component_labels(pairs: np.ndarray, count: int) -> np.ndarray:
     """i[count]: which of the sets that pairs, i[N, 2], connect each of so many things belongs to."""
     links = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(count, count))
     return connected_components(links, directed=False)[1]

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.cloud import sample_faces
-from cluttergen_jax.assets.mesh import Mesh, connected, shared_edges
+from cluttergen_jax.assets.mesh import Mesh, component_labels, shared_edges
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.solid import Solid
 
@@ -130,7 +130,7 @@ def _patches(mesh: Mesh) -> _Patches:
     pairs = np.concatenate(
         [np.stack([a, b + num * is_unlike], 1), np.stack([a + num, b + num * ~is_unlike], 1)]
     )
-    as_is, turned = connected(pairs, 2 * num).reshape(2, num)
+    as_is, turned = component_labels(pairs, 2 * num).reshape(2, num)
     _, label = np.unique(np.minimum(as_is, turned), return_inverse=True)
     label = label.reshape(-1)
     total = int(label.max()) + 1
@@ -152,7 +152,7 @@ def _hole_areas(points: np.ndarray, ends: np.ndarray, label: np.ndarray, count: 
     Args:
       points: f64[V, 3]; ends: i[2, E], from which point to which each edge goes; label: i[E], its patch.
     """
-    loop_of = connected(ends.T, len(points))
+    loop_of = component_labels(ends.T, len(points))
     num_loops = int(loop_of.max()) + 1
     loop = label * num_loops + loop_of[ends[0]]
     loops, which = np.unique(loop, return_inverse=True)

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.mesh import Mesh, clean_mesh, join_meshes
 from cluttergen_jax.assets.parts import hull_of
-from cluttergen_jax.assets.voxels import Voxels, grown
+from cluttergen_jax.assets.voxels import Voxels, dilate
 from cluttergen_jax.errors import AssetError
 
 _MAX_PIECES = 64
@@ -154,7 +154,7 @@ def _covers(united: Mesh, surface: Mesh) -> bool:
     voxels = Voxels.of(united)
     lower, upper = united.bounds
     is_near = (surface.vertices > lower - voxels.pitch) & (surface.vertices < upper + voxels.pitch)
-    return bool(is_near.all() and grown(voxels.solid)[voxels.index(surface.vertices)].all())
+    return bool(is_near.all() and dilate(voxels.solid)[voxels.index(surface.vertices)].all())
 
 
 def _closed_shells(meshes: Sequence[Mesh]) -> list[manifold3d.Manifold]:
@@ -201,7 +201,7 @@ def _rebuild(surface: Mesh, cells: int = 80) -> Mesh:
     """
     voxels = Voxels.of(surface, cells)
     # What lies deep inside counts as filled: only the skin is drawn.
-    skin = voxels.surface & grown(voxels.outside)
+    skin = voxels.surface & dilate(voxels.outside)
     tree = cKDTree(voxels.samples[skin[voxels.index(voxels.samples)]])
     offset = 0.8 * voxels.pitch
     field = np.where(voxels.outside, -1.0, 1.0) * 2 * voxels.pitch

@@ -35,7 +35,7 @@ from cluttergen_jax.assets.cloud import sample_faces
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.settle import upright_turn
 from cluttergen_jax.assets.solid import Solid
-from cluttergen_jax.assets.voxels import Voxels, grown
+from cluttergen_jax.assets.voxels import Voxels, dilate
 
 _MIN_TIP = np.radians(5)
 _SAME = np.cos(np.radians(12))
@@ -269,7 +269,7 @@ class _Look:
         if self._is_convex:
             return 0.0
         voxels = Voxels.of(self._mesh.transform(turn, np.zeros(3)), _CELLS)
-        thick = replace(voxels, outside=~grown(voxels.solid))
+        thick = replace(voxels, outside=~dilate(voxels.solid))
         return float(thick.water().sum() * voxels.pitch**3 / self._volume)
 
     def _symmetry(self, turn: np.ndarray) -> tuple[float, float]:

@@ -63,7 +63,7 @@ class Voxels:
 
     def is_exposed(self, points: np.ndarray) -> np.ndarray:
         """bool[N]: whether surface points can be seen from outside, to within a cell."""
-        return grown(self.outside)[self.index(points)]
+        return dilate(self.outside)[self.index(points)]
 
     def water(self) -> np.ndarray:
         """bool[X, Y, Z]: cells outside that would stay full if the object were filled with water.
@@ -83,7 +83,7 @@ class Voxels:
         return self.outside & ~is_dry
 
 
-def grown(cells: np.ndarray) -> np.ndarray:
+def dilate(cells: np.ndarray) -> np.ndarray:
     """bool[X, Y, Z]: the True cells with all around them, corners included."""
     return np.asarray(ndimage.binary_dilation(cells, np.ones((3, 3, 3), bool)))
 

@@ -34,9 +34,8 @@ class Options:
         def __getattr__(self, name: str) -> Any:
             """The fields."""
 
-    def run(self) -> int:
+        run: Callable[[], int]
         """Runs the command; the exit status."""
-        raise NotImplementedError
 
     def call(
         self,

@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 from cluttergen_jax.assets.cloud import sample_surface
 from cluttergen_jax.assets.config import SURFACE_AIR, DecompositionConfig
 from cluttergen_jax.assets.decompose import decompose
-from cluttergen_jax.assets.mesh import Mesh, clean_mesh, connected, join_meshes
+from cluttergen_jax.assets.mesh import Mesh, clean_mesh, component_labels, join_meshes
 from cluttergen_jax.assets.parts import heights_over, hull_of, reduce_vertices, sound_points
 from cluttergen_jax.assets.shading import box_mesh
 from cluttergen_jax.assets.shape import Joint
@@ -114,7 +114,7 @@ def _components(mesh: Mesh) -> list[Mesh]:
     if not len(mesh.faces):
         return []
     edges = np.concatenate([mesh.faces[:, :2], mesh.faces[:, 1:]])
-    own = connected(edges, len(mesh.vertices))[mesh.faces[:, 0]]
+    own = component_labels(edges, len(mesh.vertices))[mesh.faces[:, 0]]
     found = []
     for each in np.unique(own):
         used, faces = np.unique(mesh.faces[own == each], return_inverse=True)

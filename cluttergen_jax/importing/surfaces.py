@@ -19,7 +19,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.config import SURFACE_AIR, SURFACE_AREA, SURFACE_WIDTH
-from cluttergen_jax.assets.mesh import Mesh, connected
+from cluttergen_jax.assets.mesh import Mesh, component_labels
 from cluttergen_jax.assets.outline import Ring, outline_of_cells
 from cluttergen_jax.assets.support import Rectangle, Surface
 from cluttergen_jax.assets.support_map import Span, cells_below, cover, largest_rectangle
@@ -206,7 +206,7 @@ class _Layers:
                 )
                 pairs.append(np.stack([here[is_one], there[is_one]], axis=1))
         edges = np.concatenate(pairs)
-        label = connected(edges, int(self.carries.sum()))
+        label = component_labels(edges, int(self.carries.sum()))
         spots = self.spots()[self.carries]
         groups = [spots[label == each] for each in np.flatnonzero(np.bincount(label) >= _FEWEST)]
         return sorted(groups, key=lambda group: -group[:, 2].mean())

@@ -14,7 +14,6 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import TYPE_CHECKING, NamedTuple
 
-import mujoco
 import numpy as np
 
 from cluttergen_jax.config import AIR_WALLS
@@ -64,8 +63,6 @@ CREEP_TURN = math.radians(1)
 _GAP_ABOVE = 0.002
 _INSET = 0.001
 _WAITING = 20.0
-
-_NEVER = int(mujoco.mjtSleepPolicy.mjSLEEP_NEVER)
 
 
 class PileRequest(NamedTuple):

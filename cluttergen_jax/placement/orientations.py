@@ -242,8 +242,3 @@ def _stacked(bodies: list[list[_Body]], number: int) -> Orientations:
         ),
         surface_owner=np.repeat(np.arange(len(full), dtype=np.int32), runs),
     )
-
-
-def _repeated(runs: np.ndarray, number: int) -> np.ndarray:
-    """So many runs, the last one again for those missing."""
-    return runs[np.minimum(np.arange(number), len(runs) - 1)]

@@ -119,7 +119,7 @@ def named_as(name, function=near_middle):
         (f"{FILE}:near_midle", "Did you mean 'near_middle'"),
         ("missing.py:mine", "there is no file"),
         ("no_such_module:mine", "No module named 'no_such_module'"),
-        (":mine", "FILE.py:name"),
+        (":mine", "FILE.py:NAME"),
         ("drp", "Did you mean 'drop'"),
     ],
 )

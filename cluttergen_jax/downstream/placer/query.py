@@ -18,7 +18,6 @@ CELL = 0.01
 """Metres: the sides of a cell of a query's maps."""
 
 NUM_PROPOSALS = 5
-NUM_OBJECT_POINTS = 1024
 NUM_POINTS = 2048
 
 

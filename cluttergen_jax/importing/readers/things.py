@@ -18,7 +18,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from cluttergen_jax.assets.config import MAX_TEXTURE
-from cluttergen_jax.assets.mesh import Mesh, connected
+from cluttergen_jax.assets.mesh import Mesh, component_labels
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.errors import AssetError, ConfigError, closest, first_names
 from cluttergen_jax.importing.readers.mesh_file import (
@@ -205,7 +205,7 @@ def _components(index: int, mesh: Mesh) -> list[_Component]:
     _, welded = np.unique(points.view([("", points.dtype)] * 3).ravel(), return_inverse=True)
     corners = welded.reshape(-1)[mesh.faces]
     ends = np.concatenate([corners[:, :2], corners[:, 1:]])
-    labels = connected(ends, len(points))[corners[:, 0]]
+    labels = component_labels(ends, len(points))[corners[:, 0]]
     order = np.argsort(labels, kind="stable")
     starts = np.flatnonzero(np.diff(labels[order], prepend=-1))
     around = mesh.vertices[mesh.faces]

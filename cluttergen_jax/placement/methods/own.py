@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
-import importlib.util
 import inspect
 import re
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cluttergen_jax.errors import ConfigError, closest
@@ -183,24 +179,10 @@ def _restore(name: str, digest: str, given: Any) -> OwnMethod:
 
 
 def _read(text: str) -> tuple[str, Any]:
-    """What "FILE.py:name" or "module:name" names, and that text with the file's whole path.
+    """What "FILE.py:name" or "module:name" names, and that text with the file's whole path."""
+    from cluttergen_jax.own_parts import load_module
 
-    A module that is not installed may lie in the folder one stands in.
-    """
-    where, _, name = text.rpartition(":")
-    file = Path(where if where.endswith(".py") else f"{where.replace('.', '/')}.py")
-    if not where or not name:
-        raise ConfigError(f"method {text!r}", _WHERE, "method='my_methods.py:mine'")
-    try:
-        if where.endswith(".py") or (_is_missing(where) and file.is_file()):
-            file = file.resolve()
-            module = _module_in(file)
-            text = f"{file}:{name}"
-        else:
-            module = importlib.import_module(where)
-    except Exception as error:
-        reason = f"{type(error).__name__}: {error}"
-        raise ConfigError(f"method {text!r}, where {reason}", _WHERE) from error
+    module, name, text = load_module(text, "method")
     found: Any = module
     for part in name.split("."):
         if not hasattr(found, part):
@@ -212,30 +194,3 @@ def _read(text: str) -> tuple[str, Any]:
             )
         found = getattr(found, part)
     return text, found
-
-
-def _is_missing(module: str) -> bool:
-    try:
-        return importlib.util.find_spec(module) is None
-    except (ImportError, ValueError):
-        return True
-
-
-def _module_in(file: Path) -> Any:
-    """The module in a file, run once as long as the file stays as it is."""
-    if not file.is_file():
-        raise FileNotFoundError(f"there is no file {file}")
-    name = f"own_method:{file}:{hashlib.sha256(file.read_bytes()).hexdigest()}"
-    if name in sys.modules:
-        return sys.modules[name]
-    spec = importlib.util.spec_from_file_location(name, file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    try:
-        spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    return module

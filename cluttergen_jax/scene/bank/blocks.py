@@ -68,7 +68,7 @@ class StoredBlocks(Blocks):
         Raises:
           BankError: there is none, the file cannot be read, is damaged, or does not hold what its name says.
         """
-        return next(self.read(partial(_checked, None), blocks=[block]))
+        return next(self.read(partial(_check_columns, None), blocks=[block]))
 
     def tables(
         self, columns: Sequence[str] | None = None, blocks: Iterable[int] | None = None
@@ -83,7 +83,7 @@ class StoredBlocks(Blocks):
           BankError: as `read_block`.
         """
         held = None if blocks is None else sorted(set(blocks).intersection(self.places))
-        return self.read(partial(_checked, columns), columns, held)
+        return self.read(partial(_check_columns, columns), columns, held)
 
     def names(self) -> Iterable[str]:
         """The files of rows of the folder, and of where it is from."""
@@ -130,7 +130,7 @@ class StoredBlocks(Blocks):
         return len(self.numbers(block))
 
 
-def _checked(columns: Sequence[str] | None, rows: pa.Table) -> pa.Table:
+def _check_columns(columns: Sequence[str] | None, rows: pa.Table) -> pa.Table:
     """Rows, sound as `check_rows` knows them, with those columns (ValueError: they are none of a bank)."""
     table = with_added(rows) if columns is None else rows.select(columns)
     for each in [*SCHEMA, *CLUTTER]:

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import importlib
 import importlib.util
 import inspect
-import os
 import re
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from types import ModuleType
 from typing import Any, get_args
 
 from cluttergen_jax.assets.object import ObjectAsset
@@ -21,6 +17,7 @@ from cluttergen_jax.assets.object_files import SHARED_IMAGES
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, ExportFormat
 from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.own_parts import load_module, module_name
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.export.arena import write_layout
 from cluttergen_jax.scene.export.glb import glb_bytes
@@ -403,48 +400,17 @@ def _check_own(format: object) -> None:
 
 def _load_format(text: str) -> Format:
     """The format that a variable of a file or of a module holds: `FILE.py:NAME` or `MODULE:NAME`."""
-    place, _, name = text.rpartition(":")
-    try:
-        module = _module_of(place)
-    except Exception as error:  # A user's file raises whatever it does.
-        raise ConfigError(
-            f"format {text!r}, of which {place!r} cannot be imported: {error or type(error).__name__}",
-            "FILE.py:NAME or MODULE:NAME",
-            "the path of a file that exists and that `python` runs without an error",
-        ) from error
+    module, name, _ = load_module(text, "format")
     found = getattr(module, name, None)
     if isinstance(found, Format):
         return found
     held = [key for key, value in vars(module).items() if isinstance(value, Format)]
+    fault = "missing" if found is None else "no Format"
     raise ConfigError(
-        f"format {text!r}: {name!r} of {place} is {'missing' if found is None else 'no Format'}",
+        f"format {text!r}: {name!r} of {text.rpartition(':')[0]} is {fault}",
         ", ".join(held) or "a variable that holds a `cluttergen_jax.Format`",
         meant=closest(name, held),
     )
-
-
-def _module_of(place: str) -> ModuleType:
-    if not place.endswith(".py"):
-        # A module beside the user's work; what is installed comes first.
-        sys.path.append(os.getcwd())
-        try:
-            return importlib.import_module(place)
-        finally:
-            sys.path.remove(os.getcwd())
-    path = Path(place).resolve()
-    name = f"cluttergen_format_{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise ImportError(f"{place} is no Python file")
-    module = importlib.util.module_from_spec(spec)
-    # Dataclasses of the file look for their module there.
-    sys.modules[name] = module
-    try:
-        spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    return module
 
 
 def own_record(format: Format) -> dict[str, Any]:
@@ -459,7 +425,7 @@ def own_record(format: Format) -> dict[str, Any]:
     while isinstance(writer, partial):
         writer = writer.func
     writer = writer if inspect.isroutine(writer) else type(writer)
-    record = {"defined_in": f"{writer.__module__}:{writer.__qualname__}"}
+    record = {"defined_in": f"{module_name(writer)}:{writer.__qualname__}"}
     try:
         file = Path(inspect.getsourcefile(writer) or "")
         record |= {"file": file.name, "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
