@@ -139,7 +139,7 @@ def test_mypy_refuses_a_field_that_is_misspelt_or_renamed(tmp_path):
         "cg.evaluate(num_object=3)\n"
         "cg.train(num_object=3)\n"
     )
-    said = complaints(tmp_path)
+    said = complaints(tmp_path, "cluttergen_jax")
     for line in range(2, 6):
         assert f"misspelt.py:{line}: error: Unexpected keyword argument" in said
     assert "Found 4 errors" in said
@@ -150,4 +150,4 @@ def test_mypy_refuses_a_field_that_is_misspelt_or_renamed(tmp_path):
             "    min_margin: float | None = None", "    margin: float | None = None"
         )
     )
-    assert '"SceneSpec" has no attribute "min_margin"' in complaints(tmp_path)
+    assert '"SceneSpec" has no attribute "min_margin"' in complaints(tmp_path, "cluttergen_jax")

@@ -1,6 +1,7 @@
 """Banks: resumed, verified, refused; through the command line, as a user would."""
 
 import errno
+import pickle
 import re
 
 import mujoco
@@ -33,6 +34,12 @@ def test_holds_every_index_once_failures_included(bank):
     np.testing.assert_array_equal(table["index"], np.arange(260))
     files = {int(path.stem) for path in (bank / "scenes").glob("*.xml")}
     assert files == {scene.index for scene in read_bank(bank).scenes() if scene.is_success}
+
+
+def test_a_bank_that_was_read_goes_to_another_process(bank):
+    here = read_bank(bank)
+    rows = here.table
+    assert pickle.loads(pickle.dumps(here)).table.equals(rows)
 
 
 def test_interrupted_bank_is_continued_to_the_same_bits(bank, pool, tmp_path):

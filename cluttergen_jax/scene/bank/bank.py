@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import groupby
 from pathlib import Path
 
@@ -123,7 +123,7 @@ class Bank:
 
     @cached_property
     def _digests(self) -> RowDigests:
-        return RowDigests(self.files or {}, lambda: read_bank(self.path).files or {})
+        return RowDigests(self.files or {}, partial(_files_now, self.path))
 
     def _check_objects(self, rows: pa.Table) -> pa.Table:
         """The rows, if `bank.json` names every object that they number (BankError)."""
@@ -215,6 +215,11 @@ def _mended_by_generate() -> Iterator[None]:
         yield
     except PoolError as error:
         raise BankError(error.given, error.allowed, AGAIN) from error
+
+
+def _files_now(path: Path) -> dict[str, str]:
+    """Digests by path, as `bank.json` states them at this moment."""
+    return read_bank(path).files or {}
 
 
 def block_numbers(path: Path) -> list[int]:
