@@ -432,8 +432,9 @@ def geom_mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: int, sections: i
 
 
 def _own_mesh(model: mujoco.MjModel, geom: int, sections: int = 32) -> Mesh:
-    """The geom's surface in its own frame."""
+    """The geom's surface in its own frame; AssetError where it is a plane or out of all bounds."""
     size = model.geom_size[geom]
+    _check_reach(model, geom, size)
     data_id = int(model.geom_dataid[geom])
     kind = geom_kind(model, geom)
     if kind in (_GEOM.mjGEOM_MESH, _GEOM.mjGEOM_SDF):
@@ -457,13 +458,18 @@ def _own_mesh(model: mujoco.MjModel, geom: int, sections: int = 32) -> Mesh:
 def _place(model: mujoco.MjModel, data: mujoco.MjData, geom: int, mesh: Mesh) -> Mesh:
     """A mesh in the geom's frame, in the world frame; AssetError where that is out of all bounds."""
     mesh = mesh.transform(data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom])
+    _check_reach(model, geom, mesh.vertices)
+    return mesh
+
+
+def _check_reach(model: mujoco.MjModel, geom: int, lengths: np.ndarray) -> None:
+    """AssetError where a geom's sizes or points are out of all bounds, or no numbers."""
     # A number that is NaN compares as no.
-    if not (np.abs(mesh.vertices) <= _FARTHEST).all():
+    if not (np.abs(lengths) <= _FARTHEST).all():
         name = model.geom(geom).name or f"number {geom}"
         raise AssetError(
             f"geom {name!r} reaches beyond {_FARTHEST:,.0f} m, or is nowhere", "sizes in metres"
         )
-    return mesh
 
 
 def _mesh_asset(model: mujoco.MjModel, mesh: int) -> Mesh:
