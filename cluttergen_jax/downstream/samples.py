@@ -69,7 +69,7 @@ class SampleFormat:
     @property
     def again(self) -> str:
         """What mends a damaged folder."""
-        return f"the same `cluttergen {self.command}` again, which makes what is missing"
+        return f"the same `{self.command}` again, which makes what is missing"
 
     @property
     def number(self) -> str:
@@ -102,7 +102,7 @@ class SampleFormat:
         except (FileNotFoundError, NotADirectoryError) as error:
             raise BankError(
                 f"{path} holds no {self.kind}: it has no {self.index}",
-                f"a folder that `cluttergen {self.command}` made",
+                f"a folder that `{self.command}` made",
             ) from error
         except OSError as error:
             raise BankError(f"{file} cannot be read ({error})", hint=self.again) from error
@@ -112,7 +112,7 @@ class SampleFormat:
                 raise SchemaError(f"not the record of {self.kind} of format {FORMAT}")
             convert(record, self.record)
         except SchemaError as error:
-            hint = f"a fresh copy of the folder, or `cluttergen {self.command}` into another"
+            hint = f"a fresh copy of the folder, or `{self.command}` into another"
             raise BankError(f"{file} cannot be read ({error})", hint=hint) from error
         return record
 
@@ -290,7 +290,7 @@ class SampleSet:
             raise ConfigError(
                 f"{self.path} holds no {form.kind} of the split {name!r}",
                 f"{', '.join(splits) or 'none'} in that folder",
-                f"cluttergen {form.command} --split {name} --out {self.path}",
+                f"{form.command} --split {name} --out {self.path}",
             )
         return splits[name]
 

@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 
 from cluttergen_jax.config import check_range
 from cluttergen_jax.downstream.fitting import FitConfig
-from cluttergen_jax.downstream.perception.pose.icp import need_gicp
+from cluttergen_jax.downstream.perception.registration import need_gicp
 from cluttergen_jax.downstream.placer.api import placer_data
 from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerTrials
 from cluttergen_jax.downstream.placer.examples import ExampleSource

@@ -7,8 +7,8 @@ import pytest
 
 pytest.importorskip("small_gicp", reason="needs the extra perception")
 
-from cluttergen_jax.downstream.perception.camera_correction import correct_camera
-from cluttergen_jax.downstream.perception.pose.models import ObjectModel
+from cluttergen_jax.downstream.perception.corrections import correct_camera
+from cluttergen_jax.downstream.perception.object_model import ObjectModel
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.geometry import yaw_matrix
 from cluttergen_jax.views.view import View

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from cluttergen_jax.downstream.perception.mask_correction import correct_masks, find_unexplained
-from cluttergen_jax.downstream.perception.pose.compare import render_alone
-from cluttergen_jax.downstream.perception.pose.models import ObjectModel
+from cluttergen_jax.downstream.perception.corrections import correct_masks, find_unexplained
+from cluttergen_jax.downstream.perception.object_model import ObjectModel, render_alone
 from cluttergen_jax.downstream.perception.types import ARM, BACKGROUND, FIRST_OBJECT
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.views.view import View

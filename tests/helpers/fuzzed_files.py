@@ -17,14 +17,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cluttergen_jax.downstream.perception.certainty import (
-    Certainty,
-    read_certainty,
-    write_certainty,
-)
+from cluttergen_jax.downstream.perception.finder import Certainty, read_certainty
 from cluttergen_jax.downstream.perception.frames import Frame, read_frame, write_frame
-from cluttergen_jax.downstream.perception.views.store import SCHEMA as VIEW_SCHEMA
-from cluttergen_jax.downstream.perception.views.store import VIEWS, read_views
 from cluttergen_jax.downstream.placer.pairs.store import PAIRS, SCHEMA, labels_of, read_pairs
 from cluttergen_jax.downstream.robot.episode import EpisodeResult
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, read_grasps, write_grasps
@@ -36,6 +30,9 @@ from cluttergen_jax.learning.training.guided import _read as read_attempts
 from cluttergen_jax.learning.training.guided import _write as write_attempts
 from cluttergen_jax.learning.training.stability import Examples
 from cluttergen_jax.sensing.camera import Camera, intrinsics
+from studies.perception.evaluate import write_certainty
+from studies.perception.view_store import SCHEMA as VIEW_SCHEMA
+from studies.perception.view_store import VIEWS, read_views
 from tests.helpers.records import unsigned
 from tests.helpers.worlds import trio
 

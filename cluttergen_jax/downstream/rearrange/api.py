@@ -110,8 +110,8 @@ def rearrange(
         noise (extra `perception`); in Python also one of your own
         (`cluttergen_jax.downstream.rearrange.observe.Observer`), whose attribute `name` is in the table.
       grasps, planner: your own, as of `robot_place`.
-      segmenter: for `perception`: a folder of `perception train`, or a pool's name where one comes with the
-        package; the pool's own if not given.
+      segmenter: for `perception`: a folder of `python -m studies.perception train`, or a pool's name
+        where one comes with the package; the pool's own if not given.
       noise: for `perception`: factor of the simulated sensor noise; 1 if not given, 0 for none.
       cameras: for `perception`: "wrist", and those that look when the arm has drawn back, by name or in JSON
         files as of `render`; if not given the wrist's and one over the table.
@@ -306,7 +306,7 @@ def _looking(
 
     from cluttergen_jax.assets import find_pool, find_support
     from cluttergen_jax.downstream.perception.finder import load_finder
-    from cluttergen_jax.downstream.perception.segment.network_segmenter import segmenter_folder
+    from cluttergen_jax.downstream.perception.segmenter import segmenter_folder
     from cluttergen_jax.downstream.rearrange.perceive import PerceptionObserver
     from cluttergen_jax.learning import folder_hash
     from cluttergen_jax.rendering import find_backend

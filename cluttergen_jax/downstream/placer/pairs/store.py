@@ -125,7 +125,7 @@ SCHEMA = pa.schema(
 """Poses are T_region_object, position in metres and quaternion wxyz; candidates x, y, z in metres and yaw in
 radians. Matrices stand row by row. Depth is u16 in millimetres along the optical axis, little-endian, row by
 row, 0 where nothing is; labels are u8: 0 the floor, 1 the support, 2 + k the k-th standing object."""
-PAIRS = SampleFormat("pairs", "pair", "placer data", SCHEMA, 256, PairRecord, check_rows)
+PAIRS = SampleFormat("pairs", "pair", "cluttergen placer data", SCHEMA, 256, PairRecord, check_rows)
 
 
 class PairLabels(NamedTuple):

@@ -1,4 +1,4 @@
-"""Render and compare: how well the picture of a pose agrees with what was seen, in the object and around it.
+"""What pose estimation knows of an object, and how well the picture of a pose agrees with what was seen.
 
 The object alone is seen by rays where it was found and where the pose has it. Rays that meet it where its
 mask is agree if their depths do. Rays that meet it where something farther away was seen go through air that
@@ -9,15 +9,74 @@ something nearer, or where nothing was measured, says nothing.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
 
 import numpy as np
+import trimesh
+from scipy.spatial import cKDTree
 
-from cluttergen_jax.downstream.perception.pose.models import ObjectModel
+from cluttergen_jax.assets import ObjectAsset, join_meshes, turn_symmetry
 from cluttergen_jax.downstream.perception.types import BACKGROUND
 from cluttergen_jax.downstream.transforms import pose_of
-from cluttergen_jax.sensing import Camera
+from cluttergen_jax.sensing import Camera, RaySensor, sensed_model
 from cluttergen_jax.views import View
+
+NUM_POINTS = 3000
+NUM_DENSE = 60_000
+NUM_JUDGED = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectModel:
+    """An object as pose estimation knows it.
+
+    Attributes:
+      asset: the object. symmetry: of its turns about z (`assets.symmetry.turn_symmetry`).
+      points, normals: f64[3000, 3], of its surface, object frame, metres.
+    """
+
+    asset: ObjectAsset
+    symmetry: int
+    points: np.ndarray
+    normals: np.ndarray
+    _surface: trimesh.Trimesh = field(repr=False)
+
+    @staticmethod
+    @lru_cache(maxsize=64)
+    def of(asset: ObjectAsset) -> ObjectModel:
+        """The model of an object, made once: what is drawn of it, or its collision parts where nothing is."""
+        mesh = join_meshes(
+            [piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts]
+        )
+        surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+        points, faces = trimesh.sample.sample_surface(surface, NUM_POINTS, seed=0)
+        normals = np.asarray(surface.face_normals)[faces]
+        return ObjectModel(asset, turn_symmetry(asset), np.asarray(points), normals, surface)
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        """Of `points`."""
+        return cKDTree(self.points)
+
+    @cached_property
+    def sensor(self) -> RaySensor:
+        """Casts rays at the object alone."""
+        return RaySensor(sensed_model([self.asset], None), bool(self.asset.pieces))
+
+    @cached_property
+    def _dense(self) -> cKDTree:
+        return cKDTree(trimesh.sample.sample_surface(self._surface, NUM_DENSE, seed=1)[0])
+
+    def surface_distance(self, pose: np.ndarray, other: np.ndarray) -> float:
+        """ADD-S: mean metres from points of the surface at one pose f64[4, 4] to the surface at another.
+
+        The other surface is so densely sampled that what this adds is below a millimetre.
+        """
+        points = self.points[:NUM_JUDGED]
+        moved = np.linalg.inv(other) @ pose
+        return float(self._dense.query(points @ moved[:3, :3].T + moved[:3, 3])[0].mean())
+
 
 AGREES = 0.006
 """Metres by which depths may differ and agree by half."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
@@ -20,7 +20,7 @@ from cluttergen_jax.downstream.words import MAX_VIEWS
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.scene import Bank
 from cluttergen_jax.schema import Numbers, refuse
-from cluttergen_jax.sensing import Camera
+from cluttergen_jax.sensing import NOISE_OFF, Camera, NoiseConfig, noisy
 from cluttergen_jax.views import TENTH_OF_A_MILLIMETRE, View, depth_levels, depth_of
 
 
@@ -93,7 +93,9 @@ SCHEMA = pa.schema(
 """`objects` are those that stand, by their number in the pool, at `poses`, T_world_object, metres and wxyz.
 Depth is u16 in tenths of a millimetre along the optical axis, little-endian, row by row, 0 where nothing is
 or beyond 6.5 m; labels are u8 (`types`); rgb is u8. Neither exposure nor noise is in them."""
-VIEWS = SampleFormat("views", "view", "perception data", SCHEMA, 64, ViewRecord, check_rows)
+VIEWS = SampleFormat(
+    "views", "view", "python -m studies.perception data", SCHEMA, 64, ViewRecord, check_rows
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,3 +220,25 @@ def _view_of(row: dict[str, Any]) -> StoredView:
         row["method"],
         row["has_arm"],
     )
+
+
+def simulate_camera(stored: StoredView, noise: NoiseConfig, seed: int) -> View:
+    """What a camera of some exposure and noise makes of a stored view; with no noise the exposure stays, too.
+
+    Depth is nan where nothing was measured; labels stay exact.
+    """
+    view = stored.view
+    rng = np.random.default_rng((seed, stored.number, 7))
+    if noise == NOISE_OFF:
+        return view
+    rgb = expose(view.colours, rng)
+    depth, camera = noisy(view.depth, view.camera, noise, rng)
+    return replace(view, rgb=rgb, depth=depth, camera=camera)
+
+
+def expose(rgb: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """u8[H, W, 3]: a picture u8[H, W, 3] as a camera of another exposure and with noise takes it."""
+    gain, gamma, sigma = rng.uniform([0.7, 0.8, 0.0], [1.35, 1.25, 0.015])
+    balance = rng.normal(1.0, 0.03, 3)
+    light = gain * balance * (rgb / 255.0) ** gamma + sigma * rng.standard_normal(rgb.shape)
+    return np.round(255 * np.clip(light, 0, 1)).astype(np.uint8)

@@ -10,19 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from cluttergen_jax.downstream.perception.finder import SceneFinder
-from cluttergen_jax.downstream.perception.pose.compare import Comparer
-from cluttergen_jax.downstream.perception.pose.models import ObjectModel
-from cluttergen_jax.downstream.perception.segment.training import simulate_camera
-from cluttergen_jax.downstream.perception.types import (
-    FIRST_OBJECT,
-    confusion,
-    iou_of,
-    num_classes,
-)
-from cluttergen_jax.downstream.perception.views.store import StoredView
+from cluttergen_jax.downstream.perception.object_model import Comparer, ObjectModel
+from cluttergen_jax.downstream.perception.types import FIRST_OBJECT, num_classes
 from cluttergen_jax.downstream.transforms import matrix_of, offset
 from cluttergen_jax.sensing import NoiseConfig
 from cluttergen_jax.views import View
+from studies.perception.view_store import StoredView, simulate_camera
 
 VISIBLE_PIXELS = 150
 """Of a picture of 320 x 240, from which on an object has to be found."""
@@ -32,6 +25,25 @@ that has to be the object's own."""
 # Metres and radians, up to symmetry, below which a pose is right.
 GOOD_ADDS = 0.005
 GOOD_TURN = float(np.radians(5))
+
+
+def confusion(found: np.ndarray, true: np.ndarray, num_objects: int) -> np.ndarray:
+    """i64[C, C]: pixels of each true class (rows) that were taken for each class (columns)."""
+    number = num_classes(num_objects)
+    index = true.astype(np.int64).ravel() * number + found.astype(np.int64).ravel()
+    return np.bincount(index, minlength=number * number).reshape(number, number)
+
+
+def iou_of(confused: np.ndarray) -> np.ndarray:
+    """f64[C]: intersection over union of each class of a confusion i64[C, C]; nan where there is neither."""
+    both = np.diag(confused)
+    either = confused.sum(0) + confused.sum(1) - both
+    return np.where(either > 0, both / np.maximum(either, 1), np.nan)
+
+
+def intersection_over_union(found: np.ndarray, true: np.ndarray, num_objects: int) -> np.ndarray:
+    """f64[C]: of labels [...] and true ones; over all pixels together."""
+    return iou_of(confusion(found, true, num_objects))
 
 
 @dataclass(frozen=True)

@@ -22,13 +22,6 @@ from cluttergen_jax.assets import VISUAL_GROUP, ObjectAsset, SupportAsset
 from cluttergen_jax.config import Variation
 from cluttergen_jax.downstream.bank_scenes import StableScenes
 from cluttergen_jax.downstream.perception.types import ARM, BACKGROUND, FIRST_OBJECT
-from cluttergen_jax.downstream.perception.views.store import (
-    SCHEMA,
-    VIEWS,
-    StoredView,
-    ViewSet,
-    row_of,
-)
 from cluttergen_jax.downstream.robot.cameras import FOCAL, SIZE, above, wrist_camera
 from cluttergen_jax.downstream.robot.description import find_robot
 from cluttergen_jax.downstream.robot.model import Robot, with_robot
@@ -40,15 +33,13 @@ from cluttergen_jax.scene import Bank, Scene
 from cluttergen_jax.sensing import Camera, free
 from cluttergen_jax.statistics import is_of_share
 from cluttergen_jax.views import View, ViewMaker
-
-
-def expose(rgb: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """u8[H, W, 3]: a picture u8[H, W, 3] as a camera of another exposure and with noise takes it."""
-    gain, gamma, sigma = rng.uniform([0.7, 0.8, 0.0], [1.35, 1.25, 0.015])
-    balance = rng.normal(1.0, 0.03, 3)
-    light = gain * balance * (rgb / 255.0) ** gamma + sigma * rng.standard_normal(rgb.shape)
-    return np.round(255 * np.clip(light, 0, 1)).astype(np.uint8)
-
+from studies.perception.view_store import (
+    SCHEMA,
+    VIEWS,
+    StoredView,
+    ViewSet,
+    row_of,
+)
 
 Kind = Literal["free", "overhead", "wrist"]
 """Of cameras."""
@@ -320,7 +311,7 @@ def write_views(
     config: PerceptionViewConfig,
     overwrite: bool = False,
 ) -> ViewSet:
-    """The views of one split in a folder, begun or continued; see `cluttergen_jax.perception_data`."""
+    """The views of one split in a folder, begun or continued; see `api.perception_data`."""
     path = Path(out)
     first = next(iter(banks.values()))
     scenes = [StableScenes.read(bank) for bank in banks.values()]

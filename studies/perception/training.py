@@ -3,31 +3,119 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+import optax
+from flax import struct
 
 from cluttergen_jax.assets import SupportAsset
 from cluttergen_jax.downstream.fitting import FitConfig, FitRun, FitState
-from cluttergen_jax.downstream.perception.segment.network import (
+from cluttergen_jax.downstream.perception.segmenter import (
     HEIGHT,
+    KIND,
+    VOTE_SCALE,
     WIDTH,
     SegmentConfig,
-    SegmentExample,
-    SegmentLearner,
+    SegmentModel,
+    network_answers,
+    network_images,
+    pixel_places,
+    sample_pixels,
     shrink,
-    shrink_label,
 )
-from cluttergen_jax.downstream.perception.segment.network_segmenter import KIND, answers_of
-from cluttergen_jax.downstream.perception.types import intersection_over_union
-from cluttergen_jax.downstream.perception.views.maker import VIEWS_A_SCENE, expose
-from cluttergen_jax.downstream.perception.views.store import StoredView, ViewSet, read_views
+from cluttergen_jax.downstream.perception.types import BACKGROUND, FIRST_OBJECT
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, NoiseConfig, noisy
+from cluttergen_jax.sensing import REALSENSE
+from cluttergen_jax.types import Array
 from cluttergen_jax.views import View
+from studies.perception.scoring import intersection_over_union
+from studies.perception.view_maker import VIEWS_A_SCENE
+from studies.perception.view_store import StoredView, ViewSet, read_views, simulate_camera
+
+_OBJECT_WEIGHT = 3.0
+_VOTE_WEIGHT = 0.3
+
+
+class SegmentExample(struct.PyTreeNode):
+    """One view to learn from, at the network's size.
+
+    Attributes:
+      rgb: u8[H, W, 3]. depth, height: f16[H, W], metres, the latter over the table; `NO_DEPTH` where none.
+      label: u8[H, W], see `types`.
+      center: f32[K, 2], pixels right and down, where the objects' middles are seen.
+    """
+
+    rgb: Array
+    depth: Array
+    height: Array
+    label: Array
+    center: Array
+
+
+@dataclass(frozen=True)
+class SegmentLearner(SegmentModel):
+    """Learns classes by cross-entropy, pixels of objects weighing more, and votes by their distance."""
+
+    def loss(
+        self, params: Any, examples: SegmentExample, key: Array
+    ) -> tuple[Array, dict[str, Array]]:
+        """See `fitting.Learner`; as coins fall views are mirrored, and their backgrounds recoloured."""
+        number = len(examples.label)
+        flip_key, colour_key = jax.random.split(key)
+        examples = jax.vmap(_mirror)(examples, jax.random.bernoulli(flip_key, shape=(number, 2)))
+        examples = jax.vmap(_recolour)(examples, jax.random.split(colour_key, number))
+        images = network_images(examples.rgb, examples.depth, examples.height)
+        logits, votes = self.apply(params, images)
+        label = examples.label.astype(jnp.int32)
+        is_object = label >= FIRST_OBJECT
+        weight = jnp.where(is_object, _OBJECT_WEIGHT, 1.0)
+        each = optax.softmax_cross_entropy_with_integer_labels(logits, label)
+        classes = (each * weight).sum() / weight.sum()
+        target = jax.vmap(lambda center, label: center[jnp.maximum(label - FIRST_OBJECT, 0)])(
+            examples.center, label
+        )
+        error = optax.huber_loss(votes, (target - pixel_places()) / VOTE_SCALE).sum(-1)
+        vote = (error * is_object).sum() / jnp.maximum(is_object.sum(), 1)
+        return classes + _VOTE_WEIGHT * vote, {"classes": classes, "votes": vote}
+
+
+def _mirror(example: SegmentExample, flips: Array) -> SegmentExample:
+    """One example mirrored along its rows and its columns where bool[2] says so."""
+
+    def flip(image: Array) -> Array:
+        for axis in (0, 1):
+            image = jnp.where(flips[axis], jnp.flip(image, axis), image)
+        return image
+
+    size = jnp.array([WIDTH, HEIGHT], jnp.float32)
+    center = jnp.where(flips[::-1], size - example.center, example.center)
+    images = {name: flip(getattr(example, name)) for name in ("rgb", "depth", "height", "label")}
+    return example.replace(center=center, **images)
+
+
+def _recolour(example: SegmentExample, key: Array) -> SegmentExample:
+    """One example; by half of the keys its background has another colour and contrast, its pattern stays."""
+    coin_key, colour_key, contrast_key = jax.random.split(key, 3)
+    light = example.rgb / 255.0
+    is_back = (example.label == BACKGROUND)[..., None]
+    mean = (light * is_back).sum((0, 1)) / jnp.maximum(is_back.sum(), 1)
+    colour = jax.random.uniform(colour_key, (3,), minval=0.1, maxval=0.9)
+    contrast = jax.random.uniform(contrast_key, (3,), minval=0.5, maxval=1.5)
+    other = jnp.clip(colour + contrast * (light - mean), 0, 1)
+    is_other = is_back & jax.random.bernoulli(coin_key)
+    return example.replace(rgb=255 * jnp.where(is_other, other, light))
+
+
+def shrink_label(label: np.ndarray) -> np.ndarray:
+    """u8[120, 160]: labels of any size, each pixel that whose depth the network reads."""
+    return label[np.ix_(*sample_pixels(label.shape))]
+
 
 _TENTH = 10
 
@@ -37,7 +125,7 @@ class ViewSource:
     """Where examples come from.
 
     Attributes:
-      data: a folder that `perception data` made.
+      data: a folder that `data` made.
       seed: of exposure and noise.
       num_views: of the training split, the first so many; all if None.
     """
@@ -84,7 +172,7 @@ class ViewSource:
             raise ConfigError(
                 f"no views to {'learn from' if split == 'train' else 'validate with'} in {self.data}",
                 "views of ten scenes or more",
-                "cluttergen perception data --split train",
+                "python -m studies.perception data --split train",
             )
         return jax.tree.map(lambda *leaves: np.stack(leaves), *found)
 
@@ -102,20 +190,6 @@ def example_of(stored: StoredView, views: ViewSet, seed: int) -> SegmentExample:
         ]
         center[stored.objects] = np.clip(pixels, -WIDTH, 2 * WIDTH)
     return SegmentExample(rgb, depth, height, shrink_label(stored.view.label), center)
-
-
-def simulate_camera(stored: StoredView, noise: NoiseConfig, seed: int) -> View:
-    """What a camera of some exposure and noise makes of a stored view; with no noise the exposure stays, too.
-
-    Depth is nan where nothing was measured; labels stay exact.
-    """
-    view = stored.view
-    rng = np.random.default_rng((seed, stored.number, 7))
-    if noise == NOISE_OFF:
-        return view
-    rgb = expose(view.colours, rng)
-    depth, camera = noisy(view.depth, view.camera, noise, rng)
-    return replace(view, rgb=rgb, depth=depth, camera=camera)
 
 
 def heights(view: View, support: SupportAsset) -> np.ndarray:
@@ -161,7 +235,9 @@ class SegmenterTraining(FitRun):
         params = jax.device_get(state.best)
         names = self.source.views.names
         labels = [
-            answers_of(self.learner, params, batch)[0].argmax(-1)
+            np.asarray(
+                network_answers(self.learner, params, batch.rgb, batch.depth, batch.height)[0]
+            ).argmax(-1)
             for batch in self.batches_of(held_out)
         ]
         iou = intersection_over_union(np.concatenate(labels), held_out.label, len(names))

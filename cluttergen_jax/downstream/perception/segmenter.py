@@ -1,36 +1,194 @@
-"""The trained segmenter: a network's coarse answers, made masks by what depth tells of edges."""
+"""The trained segmenter: a network's coarse answers, made masks by what depth tells of edges.
+
+The network is a small U-Net on colour, depth and height, with a vote for objects' centres.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import flax.linen as nn
 import jax
+import jax.numpy as jnp
 import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter, median_filter
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from cluttergen_jax.downstream.fitting import blank_params, config_of, embedded_checkpoints
-from cluttergen_jax.downstream.perception.segment.network import (
-    HEIGHT,
-    WIDTH,
-    SegmentConfig,
-    SegmentExample,
-    SegmentLearner,
-    network_images,
-    shrink,
-)
 from cluttergen_jax.downstream.perception.types import (
     BACKGROUND,
     FIRST_OBJECT,
     Segmentation,
     check_images,
+    num_classes,
 )
 from cluttergen_jax.errors import PoolError
-from cluttergen_jax.learning import folder_hash, read_policy, read_record
+from cluttergen_jax.learning import read_policy, read_record
 from cluttergen_jax.sensing import Camera
+from cluttergen_jax.types import Array
+
+# Pixels of what the network reads and answers.
+WIDTH = 160
+HEIGHT = 120
+
+NO_DEPTH = -8.0
+"""In place of metres where nothing was measured."""
+_COLOUR = 3
+_GROUPS = 8
+VOTE_SCALE = 20.0
+"""Pixels; votes are told in these."""
+_DEPTH_MIDDLE = 0.8
+_DEPTH_SCALE = 0.4
+_HEIGHT_SCALE = 0.1
+
+
+@dataclass(frozen=True)
+class SegmentConfig:
+    """Sizes of the network.
+
+    Attributes:
+      num_objects: K, that it knows.
+      widths: channels at a half, a quarter, an eighth and a sixteenth of the picture.
+      colour: read colours too; False for depth alone.
+    """
+
+    num_objects: int
+    widths: tuple[int, int, int, int] = (24, 48, 80, 96)
+    colour: bool = True
+
+
+class Block(nn.Module):
+    """Two convolutions of 3 x 3, each normalised over groups of channels."""
+
+    width: int
+
+    @nn.compact
+    def __call__(self, x: Array) -> Array:
+        for _ in range(2):
+            x = nn.Conv(self.width, (3, 3), use_bias=False)(x)
+            x = nn.relu(nn.GroupNorm(num_groups=_GROUPS)(x))
+        return x
+
+
+class SegmentNet(nn.Module):
+    """A U-Net; its first and last layers work on squares of 2 x 2 pixels."""
+
+    config: SegmentConfig
+
+    @nn.compact
+    def __call__(self, images: Array) -> tuple[Array, Array]:
+        """Logits f32[B, H, W, C] of the classes; votes f32[B, H, W, 2], in `VOTE_SCALE`, right and down.
+
+        Args:
+          images: f32[B, H, W, 5], as `network_images` makes them.
+        """
+        first, *deeper = self.config.widths
+        x = _space_to_depth(images if self.config.colour else images[..., _COLOUR:])
+        skips = [x := Block(first)(x)]
+        for width in deeper:
+            x = nn.max_pool(x, (2, 2), (2, 2), padding="SAME")
+            skips.append(x := Block(width)(x))
+        for skip in skips[-2::-1]:
+            x = jnp.repeat(jnp.repeat(x, 2, axis=1), 2, axis=2)[:, : skip.shape[1]]
+            x = nn.Conv(skip.shape[-1], (1, 1))(x) + skip
+            x = Block(skip.shape[-1])(x)
+        number = num_classes(self.config.num_objects)
+        out = _depth_to_space(nn.Conv(4 * (number + 2), (1, 1))(x))
+        return out[..., :number], out[..., number:]
+
+
+def _space_to_depth(x: Array) -> Array:
+    """f[B, H/2, W/2, 4 C]: squares of pixels as one."""
+    b, h, w, c = x.shape
+    return (
+        x.reshape(b, h // 2, 2, w // 2, 2, c)
+        .transpose(0, 1, 3, 2, 4, 5)
+        .reshape(b, h // 2, w // 2, 4 * c)
+    )
+
+
+def _depth_to_space(x: Array) -> Array:
+    """The inverse of `_space_to_depth`."""
+    b, h, w, c = x.shape
+    return (
+        x.reshape(b, h, w, 2, 2, c // 4)
+        .transpose(0, 1, 3, 2, 4, 5)
+        .reshape(b, 2 * h, 2 * w, c // 4)
+    )
+
+
+def network_images(rgb: Array, depth: Array, height: Array) -> Array:
+    """f32[..., H, W, 5], each about as large as 1, of pictures, depths and heights.
+
+    Args:
+      rgb: u8[..., H, W, 3]. depth, height: f[..., H, W], metres, the latter over the table; `NO_DEPTH` where
+        nothing was measured.
+    """
+    depth = depth.astype(jnp.float32)
+    height = height.astype(jnp.float32)
+    is_there = depth > 0
+    far = jnp.where(is_there, (depth - _DEPTH_MIDDLE) / _DEPTH_SCALE, -2.0)
+    high = jnp.where(is_there, jnp.clip(height / _HEIGHT_SCALE, -2.0, 4.0), -2.0)
+    light = rgb / 255.0
+    axes = (-3, -2, -1)
+    # Whatever the exposure, a picture is as bright and as rich in contrast as any other.
+    light = (light - light.mean(axes, keepdims=True)) / (light.std(axes, keepdims=True) + 0.01)
+    return jnp.concatenate([light, jnp.stack([far, high], axis=-1)], axis=-1)
+
+
+@dataclass(frozen=True)
+class SegmentModel:
+    """The network of some sizes, whose weights are given."""
+
+    config: SegmentConfig
+
+    def init(self, key: Array) -> Any:
+        """Fresh weights."""
+        return SegmentNet(self.config).init(key, jnp.zeros((1, HEIGHT, WIDTH, 5)))
+
+    def apply(self, params: Any, images: Array) -> tuple[Array, Array]:
+        """Logits and votes (`SegmentNet`) of images f32[B, H, W, 5]."""
+        found: Any = SegmentNet(self.config).apply(params, images)
+        return found
+
+    def answers(self, params: Any, images: Array) -> tuple[Array, Array]:
+        """Probabilities f32[B, H, W, C]; where pixels say that their object's centre is, f32[B, H, W, 2]."""
+        logits, votes = self.apply(params, images)
+        return jax.nn.softmax(logits), pixel_places() + VOTE_SCALE * votes
+
+
+def pixel_places() -> Array:
+    """f32[H, W, 2]: the middles of the network's pixels, right and down."""
+    return jnp.stack(jnp.meshgrid(jnp.arange(WIDTH) + 0.5, jnp.arange(HEIGHT) + 0.5), axis=-1)
+
+
+def shrink(rgb: np.ndarray, depth: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Images of any size as the network reads them: u8[120, 160, 3], and f16[120, 160] twice.
+
+    Args:
+      depth, height: f32[H, W], metres, nan where nothing was measured.
+    """
+    rows, columns = sample_pixels(depth.shape)
+    at = np.ix_(rows, columns)
+    stacked = np.stack([depth, height])[:, rows][:, :, columns]
+    stacked = np.where(np.isfinite(stacked), stacked, NO_DEPTH).astype(np.float16)
+    factor = depth.shape[0] // HEIGHT
+    if depth.shape == (factor * HEIGHT, factor * WIDTH):
+        small = rgb.reshape(HEIGHT, factor, WIDTH, factor, 3).mean((1, 3))
+        return np.round(small).astype(np.uint8), stacked[0], stacked[1]
+    return rgb[at], stacked[0], stacked[1]
+
+
+def sample_pixels(shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """The rows and columns of a picture that stand for the network's."""
+    rows = ((np.arange(HEIGHT) + 0.5) * shape[0] / HEIGHT).astype(int)
+    columns = ((np.arange(WIDTH) + 0.5) * shape[1] / WIDTH).astype(int)
+    return rows, columns
+
 
 _STEP = 0.008
 """Metres of depth between two neighbouring pixels from which on they count as parts of different things."""
@@ -129,7 +287,9 @@ def fit_to_depth(label: np.ndarray, height: np.ndarray) -> np.ndarray:
 
 KIND = "segmenter"
 """Of a checkpoint, as its record names it."""
-_HINT = "the folder named segmenter of a run of `cluttergen perception train`"
+_TRAIN = "python -m studies.perception train"
+_HINT = f"the folder named segmenter of a run of `{_TRAIN}` in a checkout"
+_NUM_WIDTHS = 4
 # Pixels: of the votes' histogram, of its blur, and from its peak within which votes are believed.
 _BIN = 2
 _SPREAD = 2.0
@@ -143,20 +303,13 @@ _MIRRORED: tuple[Callable[[np.ndarray], np.ndarray], ...] = (
 )
 """Each is its own inverse."""
 
-_answers: Any = jax.jit(
-    lambda learner, params, rgb, depth, height: learner.answers(
+network_answers: Any = jax.jit(
+    lambda model, params, rgb, depth, height: model.answers(
         params, network_images(rgb, depth, height)
     ),
     static_argnums=0,
 )
-
-
-def answers_of(
-    learner: Any, params: Any, examples: SegmentExample
-) -> tuple[np.ndarray, np.ndarray]:
-    """Probabilities f32[B, H, W, C] and centres f32[B, H, W, 2] that the network tells of examples."""
-    found = _answers(learner, params, examples.rgb, examples.depth, examples.height)
-    return np.asarray(found[0]), np.asarray(found[1])
+"""`SegmentModel.answers` of what `network_images` takes."""
 
 
 class NetworkSegmenter:
@@ -175,7 +328,7 @@ class NetworkSegmenter:
         self._names = tuple(names)
         self._params = params
         self._top = top
-        self._learner = SegmentLearner(config)
+        self._model = SegmentModel(config)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -188,12 +341,10 @@ class NetworkSegmenter:
         rgb, depth = check_images(rgb, depth, camera)
         height = (camera.points(depth)[..., 2] - self._top).astype(np.float32)
         # The picture and its mirror images, which the network has learned from alike.
-        images = (
+        images = [
             np.stack([turn(each) for turn in _MIRRORED]) for each in shrink(rgb, depth, height)
-        )
-        chances, centers = (
-            np.asarray(each) for each in _answers(self._learner, self._params, *images)
-        )
+        ]
+        chances, centers = map(np.asarray, network_answers(self._model, self._params, *images))
         mean = np.mean([turn(each) for turn, each in zip(_MIRRORED, chances, strict=True)], axis=0)
         chance = enlarge(mean, depth.shape)
         height = smooth(height)
@@ -242,7 +393,7 @@ def segmenter_folder(segmenter: str | Path) -> Path:
     raise PoolError(
         f"no segmenter {str(segmenter)!r}",
         f"{', '.join(known) or 'none comes with the package'}; {_HINT}",
-        "cluttergen perception train",
+        f"{_TRAIN}, in a checkout",
     )
 
 
@@ -262,19 +413,12 @@ def load_segmenter(segmenter: str | Path) -> NetworkSegmenter:
     try:
         names = tuple(map(str, record["names"]))
         top = float(record["top"])
-        if len(names) != config.num_objects or len(config.widths) != len(
-            set(SegmentConfig(1).widths)
-        ):
+        if len(names) != config.num_objects or len(config.widths) != _NUM_WIDTHS:
             raise ValueError(f"{len(names)} names, widths {config.widths}")
-        blank = blank_params(SegmentLearner(config))
+        blank = blank_params(SegmentModel(config))
     except (TypeError, KeyError, ValueError) as error:
         place = path / "record.json"
         raise PoolError(
             f"{place} does not say what network it holds ({error})", hint=_HINT
         ) from error
     return NetworkSegmenter(names, read_policy(path, blank), config, top)
-
-
-def network_hash(folder: Path) -> str:
-    """The digest of a segmenter's own files, without the rule of certainty beside them."""
-    return folder_hash(folder, ("record.json", "weights.npz"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -10,16 +11,30 @@ from pathlib import Path
 import numpy as np
 
 from cluttergen_jax.downstream.digests import json_digest
-from cluttergen_jax.downstream.perception.certainty import (
+from cluttergen_jax.downstream.perception.finder import (
+    CERTAINTY_FILE,
     FEATURES,
     Certainty,
+    SceneFinder,
+    finder_hash,
     read_certainty,
-    reliability,
-    write_certainty,
 )
-from cluttergen_jax.downstream.perception.finder import SceneFinder, finder_hash
-from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator
-from cluttergen_jax.downstream.perception.scoring import (
+from cluttergen_jax.downstream.perception.registration import RegistrationEstimator
+from cluttergen_jax.downstream.perception.segmenter import (
+    embedded_segmenters,
+    load_segmenter,
+    segmenter_folder,
+)
+from cluttergen_jax.downstream.perception.types import Segmentation, Segmenter
+from cluttergen_jax.downstream.rows import RowFile, share_of
+from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.evaluation import versions
+from cluttergen_jax.files import write_atomically
+from cluttergen_jax.learning import folder_hash
+from cluttergen_jax.schema import with_checksum
+from cluttergen_jax.sensing import REALSENSE, Camera
+from cluttergen_jax.tables import aligned_table
+from studies.perception.scoring import (
     GOOD_ADDS,
     GOOD_TURN,
     JudgedMoment,
@@ -27,19 +42,7 @@ from cluttergen_jax.downstream.perception.scoring import (
     judge_moment,
     mask_figures,
 )
-from cluttergen_jax.downstream.perception.segment.network_segmenter import (
-    embedded_segmenters,
-    load_segmenter,
-    network_hash,
-    segmenter_folder,
-)
-from cluttergen_jax.downstream.perception.types import Segmentation, Segmenter
-from cluttergen_jax.downstream.perception.views.store import StoredView, ViewSet
-from cluttergen_jax.downstream.rows import RowFile, share_of
-from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation import versions
-from cluttergen_jax.sensing import REALSENSE, Camera
-from cluttergen_jax.tables import aligned_table
+from studies.perception.view_store import StoredView, ViewSet
 
 TRUE_MASKS = "true"
 """In place of a segmenter: the true labels."""
@@ -227,7 +230,9 @@ def evaluate_perception(
     recipe = {
         "format": _FORMAT,
         "views": views.digest(split),
-        "segmenter": TRUE_MASKS if folder is None else network_hash(folder),
+        "segmenter": TRUE_MASKS
+        if folder is None
+        else folder_hash(folder, ("record.json", "weights.npz")),
         "certainty": list(certainty.weights),
         "registration": finder_hash(),
         "seed": seed,
@@ -241,7 +246,10 @@ def evaluate_perception(
             digest = json_digest(setting, 8)
             name = f"{split}-{number}-cameras-noise-{factor:g}-{digest}.jsonl"
             file = RowFile(
-                None if out is None else out / name, setting, JudgedMoment, "perception eval"
+                None if out is None else out / name,
+                setting,
+                JudgedMoment,
+                "python -m studies.perception eval",
             )
             moments = _judge_all(
                 views, split, number, factor, num_views, seed, finder, file, true_masks
@@ -300,4 +308,47 @@ def _calibrate(result: PerceptionResult, folder: Path) -> None:
         raise ConfigError(
             "calibration without any pose", "views in which objects are found", "more views"
         )
-    write_certainty(folder, Certainty().fit_to(features, right))
+    write_certainty(folder, fit_certainty(features, right))
+
+
+_PRIOR = 2.0
+"""Strength of what holds the weights near to the usual ones, in poses."""
+_STEPS = 50
+
+
+def fit_certainty(features: np.ndarray, is_right: np.ndarray) -> Certainty:
+    """The rule that fits P poses best (Newton's method): their features f[P, 7], which are right bool[P]."""
+    usual = np.array(Certainty().weights)
+    weights = usual.copy()
+    prior = _PRIOR * np.eye(len(usual)) / 4
+    for _ in range(_STEPS):
+        chance = 1 / (1 + np.exp(-features @ weights))
+        slope = features.T @ (chance - is_right) + prior @ (weights - usual)
+        bend = (features * (chance * (1 - chance))[:, None]).T @ features + prior
+        change = np.linalg.solve(bend, slope)
+        weights = weights - change / max(1.0, float(np.linalg.norm(change)))
+        if np.linalg.norm(change) < 1e-8:
+            break
+    return Certainty(tuple(weights.tolist()), len(features))
+
+
+def write_certainty(folder: Path, certainty: Certainty) -> None:
+    """Stores the rule beside a segmenter."""
+    weights = dict(zip(FEATURES, certainty.weights, strict=True))
+    stored = with_checksum({"weights": weights, "number": certainty.number})
+    write_atomically(folder / CERTAINTY_FILE, (json.dumps(stored, indent=1) + "\n").encode())
+
+
+def reliability(
+    chance: np.ndarray, is_right: np.ndarray, bins: int = 5
+) -> list[tuple[float, float, int]]:
+    """Of each bin of chances f[P] that holds any: their mean, the share that was right bool[P], how many."""
+    place = np.minimum((chance * bins).astype(int), bins - 1)
+    rows = []
+    for each in range(bins):
+        inside = place == each
+        if inside.any():
+            rows.append(
+                (float(chance[inside].mean()), float(is_right[inside].mean()), int(inside.sum()))
+            )
+    return rows
