@@ -7,11 +7,11 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import binary_dilation
 
+from cluttergen_jax.downstream.noise import REALSENSE
 from cluttergen_jax.downstream.perception.finder import SceneFinder, load_finder
 from cluttergen_jax.downstream.perception.types import FIRST_OBJECT
 from cluttergen_jax.rendering.sheet import contact_sheet
 from cluttergen_jax.sensing.camera import Camera
-from cluttergen_jax.sensing.noise import REALSENSE
 from cluttergen_jax.views.images import palette
 from studies.perception.api import perception_data
 from studies.perception.view_store import StoredView, simulate_camera

@@ -10,13 +10,14 @@ import numpy as np
 from PIL import Image
 
 import cluttergen_jax as cg
+from cluttergen_jax.downstream.noise import REALSENSE, noisy
 from cluttergen_jax.downstream.perception.finder import SceneFinder
 from cluttergen_jax.downstream.perception.frames import Frame, read_frame, write_frame
 from cluttergen_jax.downstream.perception.segmenter import embedded_segmenters, load_segmenter
 from cluttergen_jax.downstream.perception.types import Segmentation
 from cluttergen_jax.downstream.robot.cameras import FOCAL, SIZE
 from cluttergen_jax.rendering import PictureConfig
-from cluttergen_jax.sensing import REALSENSE, free, noisy
+from cluttergen_jax.sensing import free
 from cluttergen_jax.views import ViewMaker
 
 num_objects = 8

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     )
     from cluttergen_jax.learning.ppo.checkpoint import (
         check_folder,
-        folder_hash,
         has_state,
         hold_run,
         read_policy,
@@ -43,7 +42,6 @@ __getattr__, __all__ = offer(
         ),
         "ppo.checkpoint": (
             "check_folder",
-            "folder_hash",
             "has_state",
             "hold_run",
             "read_policy",

@@ -1,4 +1,4 @@
-"""What a camera sees of a scene: cameras, depth and labels by rays, noise, partial height maps; no JAX."""
+"""What a camera sees of a scene: cameras, depth and labels by rays, partial height maps; no JAX."""
 
 from cluttergen_jax.sensing.camera import (
     REALSENSE_FOCAL,
@@ -11,7 +11,6 @@ from cluttergen_jax.sensing.camera import (
     overhead,
     parse_cameras,
 )
-from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE, NoiseConfig, noisy
 from cluttergen_jax.sensing.partial import Grid, PartialMap, level_camera, merge_maps
 from cluttergen_jax.sensing.rays import (
     FIRST_OBJECT,
@@ -28,8 +27,6 @@ from cluttergen_jax.sensing.rays import (
 __all__ = [
     "FIRST_OBJECT",
     "FLOOR",
-    "NOISE_OFF",
-    "REALSENSE",
     "REALSENSE_FOCAL",
     "REALSENSE_SIZE",
     "SUPPORT",
@@ -39,7 +36,6 @@ __all__ = [
     "Grid",
     "Instance",
     "InstanceSensor",
-    "NoiseConfig",
     "PartialMap",
     "RaySensor",
     "cast_rays",
@@ -48,7 +44,6 @@ __all__ = [
     "intrinsics",
     "level_camera",
     "merge_maps",
-    "noisy",
     "overhead",
     "parse_cameras",
     "sensed_model",

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cluttergen_jax.downstream.digests import json_digest
+from cluttergen_jax.downstream.digests import folder_hash, json_digest
+from cluttergen_jax.downstream.noise import REALSENSE
 from cluttergen_jax.downstream.perception.finder import (
     CERTAINTY_FILE,
     FEATURES,
@@ -30,9 +31,8 @@ from cluttergen_jax.downstream.rows import RowFile, share_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation import versions
 from cluttergen_jax.files import write_atomically
-from cluttergen_jax.learning import folder_hash
 from cluttergen_jax.schema import with_checksum
-from cluttergen_jax.sensing import REALSENSE, Camera
+from cluttergen_jax.sensing import Camera
 from cluttergen_jax.tables import aligned_table
 from studies.perception.scoring import (
     GOOD_ADDS,

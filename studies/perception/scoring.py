@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cluttergen_jax.downstream.noise import NoiseConfig
 from cluttergen_jax.downstream.perception.finder import SceneFinder
 from cluttergen_jax.downstream.perception.object_model import Comparer, ObjectModel
 from cluttergen_jax.downstream.perception.types import FIRST_OBJECT, num_classes
 from cluttergen_jax.downstream.transforms import matrix_of, offset
-from cluttergen_jax.sensing import NoiseConfig
 from cluttergen_jax.views import View
 from studies.perception.view_store import StoredView, simulate_camera
 

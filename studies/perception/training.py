@@ -15,6 +15,7 @@ from flax import struct
 
 from cluttergen_jax.assets import SupportAsset
 from cluttergen_jax.downstream.fitting import FitConfig, FitRun, FitState
+from cluttergen_jax.downstream.noise import REALSENSE
 from cluttergen_jax.downstream.perception.segmenter import (
     HEIGHT,
     KIND,
@@ -31,7 +32,6 @@ from cluttergen_jax.downstream.perception.segmenter import (
 from cluttergen_jax.downstream.perception.types import BACKGROUND, FIRST_OBJECT
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.sensing import REALSENSE
 from cluttergen_jax.types import Array
 from cluttergen_jax.views import View
 from studies.perception.scoring import intersection_over_union

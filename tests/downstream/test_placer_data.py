@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
+from cluttergen_jax.downstream.noise import REALSENSE
 from cluttergen_jax.downstream.placer.evaluation.bench import Bench
 from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
 from cluttergen_jax.downstream.placer.pairs import maker as data
@@ -17,7 +18,6 @@ from cluttergen_jax.downstream.placer.query import Proposals
 from cluttergen_jax.downstream.samples import SPLITS
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.placement.heightmap import VOID
-from cluttergen_jax.sensing.noise import REALSENSE
 from cluttergen_jax.types import Verdict
 from tests.helpers.placing import write_bank
 from tests.helpers.records import unsigned

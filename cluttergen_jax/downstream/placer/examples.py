@@ -12,6 +12,7 @@ import jax
 import numpy as np
 
 from cluttergen_jax.downstream.digests import json_digest
+from cluttergen_jax.downstream.noise import NOISE_OFF, REALSENSE
 from cluttergen_jax.downstream.placer.pairs.store import (
     PairFilter,
     PairLabels,
@@ -24,7 +25,6 @@ from cluttergen_jax.downstream.placer.query import Example, PlacementQuery, pad_
 from cluttergen_jax.downstream.words import PlacerNoise
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement import UnderSide
-from cluttergen_jax.sensing import NOISE_OFF, REALSENSE
 
 _TENTH = 10
 # The last digits of pairs that the paper's protocol tests and validates with; where there is no validation

@@ -7,19 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cluttergen_jax.downstream.noise import NOISE_OFF, NoiseConfig, noisy
 from cluttergen_jax.downstream.placer.query import CELL, NUM_POINTS, PlacementQuery
 from cluttergen_jax.downstream.placer.scene_cameras import DepthView
 from cluttergen_jax.placement import VOID, HeightMap, Problem, UnderSide
-from cluttergen_jax.sensing import (
-    NOISE_OFF,
-    Camera,
-    Grid,
-    NoiseConfig,
-    PartialMap,
-    level_camera,
-    merge_maps,
-    noisy,
-)
+from cluttergen_jax.sensing import Camera, Grid, PartialMap, level_camera, merge_maps
 
 _LOWEST = -0.005
 _HIGHEST = 0.6

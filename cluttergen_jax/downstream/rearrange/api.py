@@ -305,13 +305,14 @@ def _looking(
     from dataclasses import replace
 
     from cluttergen_jax.assets import find_pool, find_support
+    from cluttergen_jax.downstream.digests import folder_hash
+    from cluttergen_jax.downstream.noise import NOISE_OFF, REALSENSE
     from cluttergen_jax.downstream.perception.finder import load_finder
     from cluttergen_jax.downstream.perception.segmenter import segmenter_folder
     from cluttergen_jax.downstream.rearrange.perceive import PerceptionObserver
-    from cluttergen_jax.learning import folder_hash
     from cluttergen_jax.rendering import find_backend
     from cluttergen_jax.scene import region_of
-    from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, parse_cameras
+    from cluttergen_jax.sensing import parse_cameras
 
     support = find_support(own.support or "table")
     wanted = pool if segmenter is None else segmenter

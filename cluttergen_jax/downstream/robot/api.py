@@ -7,13 +7,13 @@ from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cluttergen_jax import SceneSpec
 from cluttergen_jax.config import FilmFormat, Method, check_names, check_range, check_workers
 from cluttergen_jax.downstream.words import MAX_NOISE, RecordFormat, RobotTask
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_file, check_folder
 from cluttergen_jax.kept_folder import hold_file
 from cluttergen_jax.numerics import with_own_settings
-from cluttergen_jax.spec import SceneSpec
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets import Rectangle
@@ -178,14 +178,14 @@ def robot_place(
 
     from cluttergen_jax import generate
     from cluttergen_jax.downstream.bank_scenes import bank_or_made, poses_of
-    from cluttergen_jax.downstream.digests import json_digest
+    from cluttergen_jax.downstream.digests import folder_hash, json_digest
     from cluttergen_jax.downstream.placer.heads.checkpoint import placer_folder
     from cluttergen_jax.downstream.robot.description import find_robot
     from cluttergen_jax.downstream.robot.film import check_films
     from cluttergen_jax.downstream.robot.places import CameraPlacer, SearchPlaces
     from cluttergen_jax.downstream.robot.recorder import RecordAsked
     from cluttergen_jax.downstream.robot.trials import keep_upright_last, own_place, run_trials
-    from cluttergen_jax.learning import checkpoint_of, folder_hash
+    from cluttergen_jax.learning import checkpoint_of
     from cluttergen_jax.own_parts import part_label, part_name
     from cluttergen_jax.scene import Bank, read_scenes, region_of
 

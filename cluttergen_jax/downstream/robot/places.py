@@ -11,6 +11,7 @@ import numpy as np
 
 from cluttergen_jax.assets import Rectangle
 from cluttergen_jax.downstream.bank_scenes import check_one_level
+from cluttergen_jax.downstream.noise import REALSENSE
 from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes, ProposalJudge, world_pose
 from cluttergen_jax.downstream.placer.proposers import FullState, proposals_of
@@ -35,7 +36,7 @@ from cluttergen_jax.numerics import new_key
 from cluttergen_jax.own_parts import is_own
 from cluttergen_jax.placement import Candidates, Rules, lower_onto
 from cluttergen_jax.scene import Bank, Scene
-from cluttergen_jax.sensing import REALSENSE, Camera, merge_maps
+from cluttergen_jax.sensing import Camera, merge_maps
 from cluttergen_jax.types import Array, Verdict
 
 

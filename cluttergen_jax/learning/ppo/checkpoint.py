@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import hashlib
 import io
 import json
 import os
@@ -11,7 +10,7 @@ import re
 import shutil
 import zipfile
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
@@ -132,14 +131,6 @@ def read_record(path: Path) -> Record:
     if record.get("format") != FORMAT:
         raise PoolError(f"{path} is not a checkpoint of format {FORMAT}")
     return record
-
-
-def folder_hash(folder: Path, names: Sequence[str] | None = None) -> str:
-    """The digest of a checkpoint's files, or of those of some names."""
-    found = folder.rglob("*") if names is None else (folder / name for name in names)
-    files = sorted(each for each in found if each.is_file())
-    parts = [f"{each.relative_to(folder)}".encode() + each.read_bytes() for each in files]
-    return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()
 
 
 def hold_run(folder: Path, patience: float = 0.0) -> AbstractContextManager[None]:

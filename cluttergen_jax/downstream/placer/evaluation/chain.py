@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from cluttergen_jax.downstream.noise import NoiseConfig
 from cluttergen_jax.downstream.placer.evaluation.bench import answers
 from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
 from cluttergen_jax.downstream.placer.pairs.store import stack_queries
@@ -18,7 +19,6 @@ from cluttergen_jax.downstream.placer.scene_cameras import SceneCameras, check_c
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement import Episode
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.sensing import NoiseConfig
 from cluttergen_jax.statistics import proportion
 from cluttergen_jax.types import Verdict
 

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.downstream.digests import json_digest
+from cluttergen_jax.downstream.digests import folder_hash, json_digest
+from cluttergen_jax.downstream.noise import NOISE_OFF, REALSENSE, NoiseConfig
 from cluttergen_jax.downstream.placer.evaluation.bench import Bench, ProposalOutcomes
 from cluttergen_jax.downstream.placer.evaluation.chain import Chains
 from cluttergen_jax.downstream.placer.evaluation.tables import (
@@ -34,11 +35,10 @@ from cluttergen_jax.downstream.samples import SPLITS
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation import Store, json_bytes, versions
 from cluttergen_jax.files import write_atomically
-from cluttergen_jax.learning import checkpoint_of, folder_hash
+from cluttergen_jax.learning import checkpoint_of
 from cluttergen_jax.own_parts import part_label, part_name
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene import Bank, read_bank
-from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, NoiseConfig
 from cluttergen_jax.statistics import proportion
 from cluttergen_jax.tables import Table
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
+from cluttergen_jax.downstream.noise import NOISE_OFF, REALSENSE
 from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
 from cluttergen_jax.downstream.placer.pairs.candidate_draw import SOURCES, CandidateDraw
 from cluttergen_jax.downstream.placer.pairs.card import write_card
@@ -30,7 +31,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement import Episode
 from cluttergen_jax.progress import COMPILING, Progress
 from cluttergen_jax.scene import Bank
-from cluttergen_jax.sensing import FIRST_OBJECT, NOISE_OFF, REALSENSE, SUPPORT, Camera
+from cluttergen_jax.sensing import FIRST_OBJECT, SUPPORT, Camera
 
 
 class SensedPair(NamedTuple):

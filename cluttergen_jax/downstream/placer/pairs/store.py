@@ -22,6 +22,7 @@ from cluttergen_jax.downstream.columns import (
     numbers_of,
     read_columns,
 )
+from cluttergen_jax.downstream.noise import NOISE_OFF, NoiseConfig
 from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker, SceneMaps
 from cluttergen_jax.downstream.placer.query import PlacementQuery
 from cluttergen_jax.downstream.placer.scene_cameras import (
@@ -39,7 +40,7 @@ from cluttergen_jax.placement import Problem, Setup
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene import Bank
 from cluttergen_jax.schema import Numbers, SchemaError, refuse
-from cluttergen_jax.sensing import NOISE_OFF, Camera, NoiseConfig
+from cluttergen_jax.sensing import Camera
 from cluttergen_jax.types import Verdict
 
 

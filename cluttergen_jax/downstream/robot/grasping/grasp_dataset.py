@@ -24,6 +24,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from cluttergen_jax.assets import Mesh, ObjectAsset, mesh_text
+from cluttergen_jax.downstream.noise import REALSENSE, noisy
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping import vgn
 from cluttergen_jax.downstream.robot.grasping.clutter import (
@@ -49,7 +50,7 @@ from cluttergen_jax.scene import (
     read_scenes,
     write_unless_own,
 )
-from cluttergen_jax.sensing import REALSENSE, Camera, noisy
+from cluttergen_jax.sensing import Camera
 from cluttergen_jax.tables import markdown_table
 from cluttergen_jax.views import begin_record, dataset_folder
 

@@ -15,7 +15,7 @@ from scipy.ndimage import minimum_filter
 from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.sensing.camera import REALSENSE_FOCAL, Camera
+from cluttergen_jax.sensing import REALSENSE_FOCAL, Camera
 
 _PATCH_SIDES = (0.1, 0.3)
 """Of a missing patch, as a share of the picture's."""
