@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import datetime
 import errno
+import functools
+import inspect
 import json
 import os
 import socket
@@ -17,7 +19,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 from cluttergen_jax.errors import BankError, ClutterGenError
 from cluttergen_jax.files import is_partial, writing
@@ -27,6 +29,8 @@ try:
 except ImportError:  # Windows has no fcntl.
     fcntl = None  # type: ignore[assignment]
 
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 LOCK = ".lock"
 _NO_LOCKS = {errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL}
 
@@ -307,6 +311,20 @@ def hold_file(path: str | Path | None) -> AbstractContextManager[None]:
         return nullcontext()
     with writing(Path(path)):
         return hold(lock_beside(Path(path)))
+
+
+def hold_out(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """The function, which holds the folder of its argument `out` (`hold_folder`) while it runs."""
+    signature = inspect.signature(function)
+
+    @functools.wraps(function)
+    def held(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        given = signature.bind(*args, **kwargs)
+        given.apply_defaults()
+        with hold_folder(given.arguments["out"]):
+            return function(*args, **kwargs)
+
+    return held
 
 
 def lock_beside(folder: Path, patience: float = 0.0) -> FolderLock:

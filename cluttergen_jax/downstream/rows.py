@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import functools
-import inspect
 import json
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Generic, ParamSpec, TypeVar
+from typing import Any, Generic, TypeVar
 
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
-from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.schema import (
     SchemaError,
@@ -160,24 +157,6 @@ class RowFile(Generic[Row]):
         found = convert(parse_json(line), dict[str, Any])
         numbers = {key: math.nan if value is None else value for key, value in found.items()}
         return convert(numbers, self._kind)
-
-
-_P = ParamSpec("_P")
-_R = TypeVar("_R")
-
-
-def hold_out(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """The function, which holds the folder of its argument `out` (`hold_folder`) while it runs."""
-    signature = inspect.signature(function)
-
-    @functools.wraps(function)
-    def held(*args: _P.args, **kwargs: _P.kwargs) -> _R:
-        given = signature.bind(*args, **kwargs)
-        given.apply_defaults()
-        with hold_folder(given.arguments["out"]):
-            return function(*args, **kwargs)
-
-    return held
 
 
 def _plain(row: Any) -> dict[str, object]:
