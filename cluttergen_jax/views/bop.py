@@ -61,7 +61,6 @@ DEPTH_SCALE = 0.1
 _SPLIT_NAME = re.compile(r"(train|val|test)(_[A-Za-z0-9][A-Za-z0-9_-]*)?")
 _NUMBER = re.compile(r"\d{6,}")
 _HALF = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
-_SAME = 1e-3
 _DIGITS = 6
 _VARIED = 13
 
@@ -397,17 +396,14 @@ def add_models(folder: Path, objects: Sequence[ObjectAsset]) -> dict[str, int]:
     ids = {info["name"]: int(key) for key, info in infos.items()}
     new: dict[int, ObjectAsset] = {}
     for asset in sorted({each.name: each for each in objects}.values(), key=lambda each: each.name):
-        pieces = drawn_pieces(asset)
-        extent = _extent(np.concatenate([piece.mesh.vertices for piece in pieces]) * 1000)
         key = ids.setdefault(asset.name, len(ids) + 1)
         if (known := infos.get(str(key))) is None:
             new[key] = asset
+            pieces = drawn_pieces(asset)
+            extent = _extent(np.concatenate([piece.mesh.vertices for piece in pieces]) * 1000)
             source = {"name": asset.name, "label": asset.label, **asset.provenance.record()}
             infos[str(key)] = source | {"hash": object_hash(asset)} | extent | _symmetries(pieces)
-        # Earlier versions kept no digest.
-        elif any(abs(known[name] - value) > _SAME for name, value in extent.items()) or (
-            "hash" in known and known["hash"] != object_hash(asset)
-        ):
+        elif known["hash"] != object_hash(asset):
             raise ConfigError(
                 f"{folder}: another model of the name {asset.name!r} is there",
                 "objects of one pool in one dataset",
@@ -581,9 +577,8 @@ def _read_origin(scene: Path) -> SceneOrigin:
         return convert(parse_json((scene / ORIGIN).read_bytes()), SceneOrigin)
     except (OSError, SchemaError) as error:
         raise ConfigError(
-            f"{scene} does not say which scene it is: {ORIGIN} is damaged, or missing as in datasets of "
-            "earlier versions",
-            "scenes that `render` of this version has added",
+            f"{scene} does not say which scene it is: {ORIGIN} is missing or damaged",
+            "scenes that `render` or `dataset` has added",
             "another `split`, or another `out`",
         ) from error
 
@@ -592,8 +587,6 @@ def _check_alike(folder: Path, number: int, there: SceneOrigin, asked: SceneOrig
     """Refuses a scene that is there and was seen otherwise."""
     names = dict.fromkeys([*asked.settings, *there.settings])
     differing = [name for name in names if there.settings.get(name) != asked.settings.get(name)]
-    # Earlier versions did not say it.
-    differing = [name for name in differing if name != "smoothing" or name in there.settings]
     if differing:
         wanted = ", ".join(f"{name} {asked.settings.get(name)}" for name in differing)
         had = ", ".join(f"{name} {there.settings.get(name)}" for name in differing)

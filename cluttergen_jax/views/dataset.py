@@ -158,13 +158,11 @@ class DatasetPlan:
             there = least[place] if least else 0
             known = list(rounds[place]) if rounds else []
             is_old = _is_within(good, known)
-            kept = int(is_old.sum()) if known else len(good)
-            if not len(good) or kept < there:
+            if not len(good) or int(is_old.sum()) < there:
                 given = f"{path}: {len(good)} of its scenes stand"
                 allowed = f"at least the {there} that the dataset has" if there else ""
                 raise BankError(given, allowed, "more scenes")
-            # Records of earlier versions have no rounds.
-            most = len(good) if num_scenes is None else max(num_scenes, 0 if known else there)
+            most = len(good) if num_scenes is None else num_scenes
             good = good[is_old | (np.arange(len(good)) < most)]
             fresh = index[(index <= good[-1]) & ~_is_within(index, known)]
             if np.isin(fresh, good).any():

@@ -10,8 +10,7 @@ import numpy as np
 
 from cluttergen_jax.assets import turn_symmetry
 from cluttergen_jax.downstream.environments.env import RobotEnv
-from cluttergen_jax.downstream.environments.simulation import WorldExecution
-from cluttergen_jax.downstream.environments.tasks import PlaceTask, Start
+from cluttergen_jax.downstream.environments.tasks import PlaceTask, Start, WorldExecution
 from cluttergen_jax.downstream.rearrange.episode import Rearranger
 from cluttergen_jax.downstream.rearrange.judge import RearrangementJudge
 from cluttergen_jax.downstream.rearrange.layouts import SceneDraw

@@ -38,8 +38,9 @@ from cluttergen_jax.downstream.robot.trials import (
     planner_hash,
     planner_recipe,
 )
-from cluttergen_jax.downstream.rows import RowFile, hold_out, share_of
+from cluttergen_jax.downstream.rows import RowFile, share_of
 from cluttergen_jax.evaluation import versions
+from cluttergen_jax.kept_folder import hold_out
 from cluttergen_jax.own_parts import is_own, part_label
 from cluttergen_jax.tables import aligned_table
 

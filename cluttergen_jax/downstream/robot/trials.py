@@ -39,11 +39,12 @@ from cluttergen_jax.downstream.robot.outcome import Endings, Outcome, causes_of,
 from cluttergen_jax.downstream.robot.places import CameraPlacer
 from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
 from cluttergen_jax.downstream.robot.recorder import RecordAsked, open_recorder
-from cluttergen_jax.downstream.rows import RowFile, hold_out
+from cluttergen_jax.downstream.rows import RowFile
 from cluttergen_jax.downstream.words import RobotTask
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.evaluation import versions
 from cluttergen_jax.geometry import rotation_matrix
+from cluttergen_jax.kept_folder import hold_out
 from cluttergen_jax.own_parts import part_label
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.tables import aligned_table
