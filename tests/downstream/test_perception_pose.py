@@ -11,6 +11,7 @@ pytest.importorskip("small_gicp", reason="needs the extra perception")
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.symmetry import turn_matrix
+from cluttergen_jax.downstream.perception.corrections import PosePhysicsCheck
 from cluttergen_jax.downstream.perception.finder import (
     FEATURES,
     Certainty,
@@ -18,7 +19,6 @@ from cluttergen_jax.downstream.perception.finder import (
     read_certainty,
 )
 from cluttergen_jax.downstream.perception.object_model import Comparer, ObjectModel
-from cluttergen_jax.downstream.perception.pose_physics_check import PosePhysicsCheck
 from cluttergen_jax.downstream.perception.registration import RegistrationEstimator
 from cluttergen_jax.downstream.robot.cameras import FOCAL, SIZE
 from cluttergen_jax.downstream.transforms import matrix_of, offset

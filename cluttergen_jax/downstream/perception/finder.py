@@ -14,20 +14,15 @@ import numpy as np
 
 from cluttergen_jax.assets import ObjectAsset, SupportAsset
 from cluttergen_jax.downstream.digests import constants_hash
-from cluttergen_jax.downstream.perception import (
-    corrections,
-    object_model,
-    pose_physics_check,
-    registration,
-)
+from cluttergen_jax.downstream.perception import corrections, object_model, registration
 from cluttergen_jax.downstream.perception import segmenter as segmenters
 from cluttergen_jax.downstream.perception.corrections import (
+    PosePhysicsCheck,
     correct_camera,
     correct_masks,
     find_unexplained,
 )
 from cluttergen_jax.downstream.perception.object_model import ObjectModel
-from cluttergen_jax.downstream.perception.pose_physics_check import PosePhysicsCheck
 from cluttergen_jax.downstream.perception.registration import SURE, RegistrationEstimator
 from cluttergen_jax.downstream.perception.segmenter import load_segmenter, segmenter_folder
 from cluttergen_jax.downstream.perception.types import (
@@ -367,5 +362,5 @@ def load_finder(
 @cache
 def finder_hash() -> str:
     """Hex digest of how objects and their poses are found in pictures, but for the network's weights."""
-    parts = (corrections, object_model, pose_physics_check, registration, segmenters)
+    parts = (corrections, object_model, registration, segmenters)
     return constants_hash(sys.modules[__name__], *parts)
