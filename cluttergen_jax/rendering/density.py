@@ -32,8 +32,8 @@ _STRONG = np.array([70.0, 10.0, 150.0])
 _MOST_OPAQUE = 0.85
 
 
-def density_of(proposals: np.ndarray, side: int = SIDE) -> np.ndarray:
-    """f64[side, side], axis 0 along the region's x: how often proposals f[N, 4] fall there; the most is 1.
+def density_of(proposals: np.ndarray) -> np.ndarray:
+    """f64[SIDE, SIDE], axis 0 along the region's x: how often proposals f[N, 4] fall there; the most is 1.
 
     Raises:
       ConfigError: there are none.
@@ -41,10 +41,10 @@ def density_of(proposals: np.ndarray, side: int = SIDE) -> np.ndarray:
     if len(proposals) == 0:
         raise ConfigError("no proposals", "at least one", f"num_proposals={NUM_PROPOSALS}")
     counts, _, _ = np.histogram2d(
-        proposals[:, 0], proposals[:, 1], bins=side, range=((0, 1), (0, 1))
+        proposals[:, 0], proposals[:, 1], bins=SIDE, range=((0, 1), (0, 1))
     )
     # What lies at the region's edge stays inside it.
-    smooth = gaussian_filter(counts, _BLUR * side / SIDE, mode="nearest")
+    smooth = gaussian_filter(counts, _BLUR, mode="nearest")
     return smooth / smooth.max()
 
 
@@ -55,21 +55,18 @@ def heat_image(density: np.ndarray) -> np.ndarray:
     return np.concatenate([rgb, 255 * _MOST_OPAQUE * strength], axis=-1).round().astype(np.uint8)
 
 
-def density_figure(
-    recording: Replay, object_index: int | None = None, picture: PictureConfig | None = None
-) -> np.ndarray:
-    """The scene as it was before an object's first attempt, the table coloured by where it was proposed.
+def density_figure(recording: Replay, picture: PictureConfig | None = None) -> np.ndarray:
+    """The scene before the last object's first attempt, the table coloured by where that was proposed.
 
     Args:
       recording: with proposals (`Recorder.record`).
-      object_index: of the world; None takes the object of the last attempt.
       picture: None is 1200 x 900 pixels.
 
     Returns:
       uint8[height, width, 3].
 
     Raises:
-      ConfigError: there are no proposals, or no attempt at that object; or objects go on a slope, or on
+      ConfigError: there are no proposals, or no attempts; or objects go on a slope, or on
         several surfaces.
     """
     asked = [surface for surface, _ in recording.support.asked] if recording.support.named else []
@@ -79,7 +76,9 @@ def density_figure(
             f"a heat map of {recording.title}, on {what}", "scenes on one level surface"
         )
     picture = picture or PictureConfig(width=1200, height=900)
-    attempt = _attempt_at(recording, object_index)
+    if not recording.attempts:
+        raise ConfigError(f"{recording.title}: no attempts", "a recording with attempts")
+    attempt = recording.last_turn(recording.attempts[-1].object_index)[0]
     if attempt.proposals is None:
         raise ConfigError(
             f"{recording.title} without proposals", "a recording with `num_proposals`"
@@ -100,18 +99,6 @@ def density_figure(
     image = (image * (1 - alpha) + heat[..., :3] * alpha).round().astype(np.uint8)
     name = recording.names[attempt.object_index]
     return with_caption(image, f"where {name} is proposed, {len(standing)} objects standing")
-
-
-def _attempt_at(recording: Replay, object_index: int | None) -> Attempt:
-    attempts = recording.attempts
-    if object_index is None and attempts:
-        object_index = attempts[-1].object_index
-    turn = () if object_index is None else recording.last_turn(object_index)
-    if not turn:
-        raise ConfigError(
-            f"{recording.title}: no attempt at object {object_index}", "a recording with attempts"
-        )
-    return turn[0]
 
 
 def _heat_seen(

@@ -18,11 +18,12 @@ from cluttergen_jax.rendering.scene_renderer import (
 from cluttergen_jax.rendering.sheet import ring_around, with_rings
 
 GREEN = (0.13, 0.55, 0.25)
+_FEWEST_FAILURES = 2
 _GHOST_ALPHA = 0.6
 _GHOST_TINT = 0.72
 
 
-def closed_loop_slot(recording: Replay, min_failures: int = 2) -> int:
+def closed_loop_slot(recording: Replay) -> int:
     """The object that tells the most: it failed at least so often, then stood, on the fullest table.
 
     One whose attempts all ended near the region comes first: a picture that has to show the floor as well
@@ -34,7 +35,7 @@ def closed_loop_slot(recording: Replay, min_failures: int = 2) -> int:
     candidates = []
     for index in recording.placed:
         attempts = recording.last_turn(int(index))
-        if len(attempts) > min_failures and attempts[-1].is_stable:
+        if len(attempts) > _FEWEST_FAILURES and attempts[-1].is_stable:
             crowd = int(attempts[-1].is_placed.sum())
             candidates.append(
                 (not _is_scattered(recording, attempts), crowd, len(attempts), int(index))
@@ -42,7 +43,8 @@ def closed_loop_slot(recording: Replay, min_failures: int = 2) -> int:
     if not candidates:
         most = max((len(recording.last_turn(int(i))) - 1 for i in recording.placed), default=0)
         raise ConfigError(
-            f"{recording.title}: no object failed {min_failures} times and then stood (the most is {most})",
+            f"{recording.title}: no object failed {_FEWEST_FAILURES} times and then stood (the most is "
+            f"{most})",
             "a recording with one",
             "another scene, or scenes by method='random'",
         )
@@ -59,25 +61,20 @@ def _is_scattered(recording: Replay, attempts: tuple[Attempt, ...]) -> bool:
     return bool((away > np.hypot(*region.half_extents)).any() or (height > 0.4).any())
 
 
-def closed_loop_figure(
-    recording: Replay, object_index: int | None = None, picture: PictureConfig | None = None
-) -> np.ndarray:
+def closed_loop_figure(recording: Replay, picture: PictureConfig | None = None) -> np.ndarray:
     """Draws an object where it stands, and where each earlier attempt left it: red, ringed, with its path.
 
     The other objects stand as they did then. Numbers count the attempts; the last one is ringed in green.
 
     Args:
-      object_index: whose attempts; None takes `closed_loop_slot`.
       picture: None is 1200 x 900 pixels.
 
     Returns:
       uint8[height, width, 3].
     """
     picture = picture or PictureConfig(width=1200, height=900)
-    index = closed_loop_slot(recording) if object_index is None else object_index
+    index = closed_loop_slot(recording)
     attempts = recording.last_turn(index)
-    if not attempts or not attempts[-1].is_stable:
-        raise ConfigError(f"object {index} has no attempt that succeeded", "an object that stands")
     *failed, last = attempts
     others = np.flatnonzero(last.is_placed)
     actors = [recording.objects[i] for i in others] + [recording.objects[index]] * len(attempts)
