@@ -6,7 +6,7 @@ from cluttergen_jax.lazy import offer
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets.facts import ObjectFacts
-    from cluttergen_jax.assets.mesh import Mesh, join_meshes
+    from cluttergen_jax.assets.mesh import Mesh
     from cluttergen_jax.assets.mjcf import VISUAL_GROUP, add_object, add_part, populated_spec
     from cluttergen_jax.assets.obj import mesh_text
     from cluttergen_jax.assets.object import ObjectAsset
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets.pool import embedded_root, find_pool, public_name, user_root
     from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, parse_region
     from cluttergen_jax.assets.support_file import find_support, support_hash
-    from cluttergen_jax.assets.symmetry import ROUND, turn_matrix, turn_symmetry
+    from cluttergen_jax.assets.symmetry import ROUND, turn_symmetry
 
 __getattr__, __all__ = offer(
     __name__,
     {
         "facts": ("ObjectFacts",),
-        "mesh": ("Mesh", "join_meshes"),
+        "mesh": ("Mesh",),
         "mjcf": ("VISUAL_GROUP", "add_object", "add_part", "populated_spec"),
         "obj": ("mesh_text",),
         "object": ("ObjectAsset",),
@@ -28,6 +28,6 @@ __getattr__, __all__ = offer(
         "pool": ("embedded_root", "find_pool", "public_name", "user_root"),
         "support": ("Box", "Rectangle", "SupportAsset", "parse_region"),
         "support_file": ("find_support", "support_hash"),
-        "symmetry": ("ROUND", "turn_matrix", "turn_symmetry"),
+        "symmetry": ("ROUND", "turn_symmetry"),
     },
 )

@@ -10,7 +10,6 @@ pytest.importorskip("small_gicp", reason="needs the extra perception")
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.symmetry import turn_matrix
 from cluttergen_jax.downstream.perception.corrections import PosePhysicsCheck
 from cluttergen_jax.downstream.perception.finder import (
     FEATURES,
@@ -21,7 +20,7 @@ from cluttergen_jax.downstream.perception.finder import (
 from cluttergen_jax.downstream.perception.object_model import Comparer, ObjectModel
 from cluttergen_jax.downstream.perception.registration import RegistrationEstimator
 from cluttergen_jax.downstream.robot.cameras import FOCAL, SIZE
-from cluttergen_jax.downstream.transforms import matrix_of, offset
+from cluttergen_jax.downstream.transforms import matrix_of, offset, turn_matrix
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.views.view import View

@@ -16,7 +16,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
-from cluttergen_jax.assets import ObjectAsset, join_meshes, turn_symmetry
+from cluttergen_jax.assets import ObjectAsset, turn_symmetry
 from cluttergen_jax.downstream.perception.types import BACKGROUND
 from cluttergen_jax.downstream.transforms import pose_of
 from cluttergen_jax.sensing import Camera, RaySensor, sensed_model
@@ -46,10 +46,10 @@ class ObjectModel:
     @lru_cache(maxsize=64)
     def of(asset: ObjectAsset) -> ObjectModel:
         """The model of an object, made once: what is drawn of it, or its collision parts where nothing is."""
-        mesh = join_meshes(
-            [piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts]
+        meshes = [piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts]
+        surface = trimesh.util.concatenate(
+            [trimesh.Trimesh(mesh.vertices, mesh.faces, process=False) for mesh in meshes]
         )
-        surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
         points, faces = trimesh.sample.sample_surface(surface, NUM_POINTS, seed=0)
         normals = np.asarray(surface.face_normals)[faces]
         return ObjectModel(asset, turn_symmetry(asset), np.asarray(points), normals, surface)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cluttergen_jax.assets import ROUND, ObjectAsset, SupportAsset, turn_matrix
+from cluttergen_jax.assets import ROUND, ObjectAsset, SupportAsset
 from cluttergen_jax.downstream.perception.object_model import Comparer, ObjectModel
 from cluttergen_jax.downstream.perception.types import PoseEstimate
 from cluttergen_jax.downstream.transforms import (
@@ -22,6 +22,7 @@ from cluttergen_jax.downstream.transforms import (
     pose_of,
     rigid,
     shift_along,
+    turn_matrix,
 )
 from cluttergen_jax.errors import ConfigError, MissingExtraError, range_text
 from cluttergen_jax.geometry import rotation_matrix, yaw_matrix
