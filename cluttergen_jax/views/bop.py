@@ -399,7 +399,7 @@ def add_models(folder: Path, objects: Sequence[ObjectAsset]) -> dict[str, int]:
         key = ids.setdefault(asset.name, len(ids) + 1)
         if (known := infos.get(str(key))) is None:
             new[key] = asset
-            pieces = drawn_pieces(asset)
+            pieces = asset.drawn_pieces
             extent = _extent(np.concatenate([piece.mesh.vertices for piece in pieces]) * 1000)
             source = {"name": asset.name, "label": asset.label, **asset.provenance.record()}
             infos[str(key)] = source | {"hash": object_hash(asset)} | extent | _symmetries(pieces)
@@ -415,17 +415,12 @@ def add_models(folder: Path, objects: Sequence[ObjectAsset]) -> dict[str, int]:
     return ids
 
 
-def drawn_pieces(asset: ObjectAsset) -> tuple[Piece, ...]:
-    """The asset's coloured surfaces; its collision parts where it has none."""
-    return asset.pieces or tuple(Piece(part.hull()) for part in asset.parts)
-
-
 def model_ply(asset: ObjectAsset) -> bytes:
     """The surfaces as one ASCII PLY: millimetres, object frame, normals and colours at the vertices."""
     rows = []
     faces = []
     count = 0
-    for piece in drawn_pieces(asset):
+    for piece in asset.drawn_pieces:
         surface = shade(piece.mesh, piece.uv)
         colour = np.tile(np.array(piece.rgba[:3]), (len(surface.vertices), 1))
         if piece.texture is not None and surface.uv is not None:

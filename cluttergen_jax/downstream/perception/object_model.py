@@ -46,7 +46,7 @@ class ObjectModel:
     @lru_cache(maxsize=64)
     def of(asset: ObjectAsset) -> ObjectModel:
         """The model of an object, made once: what is drawn of it, or its collision parts where nothing is."""
-        meshes = [piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts]
+        meshes = [piece.mesh for piece in asset.drawn_pieces]
         surface = trimesh.util.concatenate(
             [trimesh.Trimesh(mesh.vertices, mesh.faces, process=False) for mesh in meshes]
         )

@@ -301,9 +301,7 @@ def add_ghost(
 ) -> Any:
     """A frame `root`, which may be moved, with an object in one colour, each channel in [0, 1]."""
     frame = server.scene.add_frame(root, show_axes=False)
-    whole = join_meshes(
-        [piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts]
-    )
+    whole = join_meshes([piece.mesh for piece in asset.drawn_pieces])
     _surface(server, f"{root}/visual", Piece(whole, rgba))
     return frame
 
