@@ -2,7 +2,6 @@
 
 from cluttergen_jax.sensing.camera import (
     REALSENSE_FOCAL,
-    REALSENSE_SIZE,
     Camera,
     CameraPlan,
     find_preset,
@@ -10,6 +9,7 @@ from cluttergen_jax.sensing.camera import (
     intrinsics,
     overhead,
     parse_cameras,
+    realsense_focal,
 )
 from cluttergen_jax.sensing.partial import Grid, PartialMap, level_camera, merge_maps
 from cluttergen_jax.sensing.rays import (
@@ -28,7 +28,6 @@ __all__ = [
     "FIRST_OBJECT",
     "FLOOR",
     "REALSENSE_FOCAL",
-    "REALSENSE_SIZE",
     "SUPPORT",
     "Camera",
     "CameraPlan",
@@ -46,5 +45,6 @@ __all__ = [
     "merge_maps",
     "overhead",
     "parse_cameras",
+    "realsense_focal",
     "sensed_model",
 ]

@@ -39,14 +39,7 @@ from cluttergen_jax.kept_folder import FolderLock
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.rendering.variation import TEXTURES_OF
 from cluttergen_jax.schema import SchemaError, convert, parse_json
-from cluttergen_jax.sensing import (
-    REALSENSE_FOCAL,
-    REALSENSE_SIZE,
-    Camera,
-    CameraPlan,
-    Instance,
-    free,
-)
+from cluttergen_jax.sensing import Camera, CameraPlan, Instance, free, realsense_focal
 from cluttergen_jax.views.images import depth_png, png_of
 from cluttergen_jax.views.maker import ViewMaker
 from cluttergen_jax.views.view import SeenScene, View
@@ -177,13 +170,12 @@ class BopScenes:
     def _cameras(self, scene: SeenScene) -> list[Camera]:
         config = self._config
         support = scene.camera_support
-        width = self._picture.width
-        height = self._picture.height
-        focal = REALSENSE_FOCAL * width / REALSENSE_SIZE[0]
+        size = (self._picture.width, self._picture.height)
         rng = np.random.default_rng([config.seed, scene.number])
         if config.cameras is not None:
             return [plan.draw(support, rng) for plan in config.cameras]
-        return [free(support, rng, width, height, focal) for _ in range(config.views)]
+        focal = realsense_focal(size[0])
+        return [free(support, rng, *size, focal) for _ in range(config.views)]
 
     def _origin(self, scene: SeenScene) -> SceneOrigin:
         what = {
@@ -226,10 +218,9 @@ class BopScenes:
         # Cameras of one's own may differ in what they see; each view's intrinsics are beside it.
         if cameras is not None or not path.is_file():
             return
-        width = self._picture.width
-        height = self._picture.height
-        focal = REALSENSE_FOCAL * width / REALSENSE_SIZE[0]
-        asked = self._dataset.sensor(Camera.looking(np.zeros(3), np.ones(3), width, height, focal))
+        size = (self._picture.width, self._picture.height)
+        any_camera = Camera.looking(np.zeros(3), np.ones(3), *size, realsense_focal(size[0]))
+        asked = self._dataset.sensor(any_camera)
         there = json.loads(path.read_bytes())
         if differing := [name for name, value in asked.items() if there.get(name) != value]:
             had = ", ".join(f"{name} {there.get(name)}" for name in differing)
