@@ -16,7 +16,7 @@ from gymnasium import spaces
 
 from cluttergen_jax.assets import VISUAL_GROUP
 from cluttergen_jax.config import no_such
-from cluttergen_jax.downstream.environments.tasks import Start, Task, WorldExecution
+from cluttergen_jax.downstream.environments.tasks import EpisodeStart, Task, WorldExecution
 from cluttergen_jax.downstream.environments.world import (
     GripShare,
     RobotWorld,
@@ -192,7 +192,7 @@ class RobotEnv(gymnasium.Env):
             parts["pixels"] = spaces.Dict(dict.fromkeys(cameras, image))
         self.observation_space = spaces.Dict(parts)
         self.execution: WorldExecution | None = None
-        self.start: Start | None = None
+        self.start: EpisodeStart | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         return required_recipe(self.recipe, "make_robot_env"), ()

@@ -10,7 +10,7 @@ import numpy as np
 
 from cluttergen_jax.assets import turn_symmetry
 from cluttergen_jax.downstream.environments.env import RobotEnv
-from cluttergen_jax.downstream.environments.tasks import PlaceTask, Start, WorldExecution
+from cluttergen_jax.downstream.environments.tasks import EpisodeStart, PlaceTask, WorldExecution
 from cluttergen_jax.downstream.rearrange.episode import Rearranger
 from cluttergen_jax.downstream.rearrange.judge import RearrangementJudge
 from cluttergen_jax.downstream.rearrange.layouts import SceneDraw
@@ -61,7 +61,7 @@ def _actions_of_episode(env: RobotEnv, commands: list[np.ndarray]) -> Iterator[n
         yield env.action_of(ctrl)
 
 
-def _move_target(env: RobotEnv, start: Start, copy: WorldExecution, seed: int) -> None:
+def _move_target(env: RobotEnv, start: EpisodeStart, copy: WorldExecution, seed: int) -> None:
     """Lifts the target, and brings it to its goal if the task is to place it."""
     scene = start.scene
     target = start.target
@@ -80,7 +80,7 @@ def _move_target(env: RobotEnv, start: Start, copy: WorldExecution, seed: int) -
         mover.place(goal)
 
 
-def _rearrange(env: RobotEnv, start: Start, copy: WorldExecution, seed: int) -> None:
+def _rearrange(env: RobotEnv, start: EpisodeStart, copy: WorldExecution, seed: int) -> None:
     """Brings all objects to their goals, those that are in the way aside first."""
     scene = start.scene
     robot = env.world.description

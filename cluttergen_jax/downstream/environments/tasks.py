@@ -73,11 +73,11 @@ class WorldExecution(Execution):
         is_arm = np.isin(kinds, (Kind.ARM, Kind.HAND)).any(1)
         return bool((is_arm & (kinds == Kind.TARGET).any(1)).any())
 
-    def fork(self, num_steps: int) -> Recording:
+    def fork(self, num_steps: int) -> RecordedExecution:
         """A copy that goes on from here by itself; its set-points are kept every so many steps."""
         forked = copy.copy(self)
-        forked.__class__ = Recording
-        assert isinstance(forked, Recording)
+        forked.__class__ = RecordedExecution
+        assert isinstance(forked, RecordedExecution)
         forked.data = copy.copy(self.data)
         forked.num_steps = 0
         forked.every = num_steps
@@ -85,7 +85,7 @@ class WorldExecution(Execution):
         return forked
 
 
-class Recording(WorldExecution):
+class RecordedExecution(WorldExecution):
     """See `WorldExecution.fork`. every: steps; commands: f64[nu] each, the set-points every so many steps."""
 
     every: int
@@ -130,10 +130,12 @@ class Task(Protocol):
     def places(self, bank: BankArrays) -> np.ndarray:
         """i[M]: the scenes that it can be done in, by their place in the bank. Raises ConfigError: none."""
 
-    def begin(self, scene: Scene, bank: BankArrays, place: int, rng: np.random.Generator) -> Start:
+    def begin(
+        self, scene: Scene, bank: BankArrays, place: int, rng: np.random.Generator
+    ) -> EpisodeStart:
         """An episode in the scene at this place."""
 
-    def judge(self, start: Start, execution: WorldExecution) -> Judge:
+    def judge(self, start: EpisodeStart, execution: WorldExecution) -> Judge:
         """Of an episode that has begun."""
 
     def sentence(self, labels: list[str]) -> str:
@@ -141,7 +143,7 @@ class Task(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
+class EpisodeStart:
     """How an episode begins.
 
     Attributes:
@@ -174,11 +176,13 @@ class GraspTask(_OneObject):
         """None."""
         return ()
 
-    def begin(self, scene: Scene, bank: BankArrays, place: int, rng: np.random.Generator) -> Start:
+    def begin(
+        self, scene: Scene, bank: BankArrays, place: int, rng: np.random.Generator
+    ) -> EpisodeStart:
         """The scene as it is."""
-        return Start(scene, len(scene.names) - 1, scene.poses.copy())
+        return EpisodeStart(scene, len(scene.names) - 1, scene.poses.copy())
 
-    def judge(self, start: Start, execution: WorldExecution) -> Judge:
+    def judge(self, start: EpisodeStart, execution: WorldExecution) -> Judge:
         """Of `robot place --task lift`."""
         return _GraspJudge(start, execution)
 
@@ -211,13 +215,15 @@ class PlaceTask(_OneObject):
             )
         return found
 
-    def begin(self, scene: Scene, bank: BankArrays, place: int, rng: np.random.Generator) -> Start:
+    def begin(
+        self, scene: Scene, bank: BankArrays, place: int, rng: np.random.Generator
+    ) -> EpisodeStart:
         """The last object on the stand, somehow turned."""
         target = len(scene.names) - 1
         moved, _ = set_on_stand(scene, target, int(rng.integers(2**31)))
-        return Start(moved, target, scene.poses.copy())
+        return EpisodeStart(moved, target, scene.poses.copy())
 
-    def judge(self, start: Start, execution: WorldExecution) -> Judge:
+    def judge(self, start: EpisodeStart, execution: WorldExecution) -> Judge:
         """Of `robot place`."""
         return _PlaceJudge(start, execution)
 
@@ -249,7 +255,9 @@ class RearrangeTask:
             )
         return found
 
-    def begin(self, scene: Scene, bank: BankArrays, place: int, rng: np.random.Generator) -> Start:
+    def begin(
+        self, scene: Scene, bank: BankArrays, place: int, rng: np.random.Generator
+    ) -> EpisodeStart:
         """The scene as it is, and another one for its goals."""
         sets = _sets(bank)
         others = np.flatnonzero((sets == sets[place]).all(1))
@@ -261,9 +269,9 @@ class RearrangeTask:
         ]
         goals = poses[other, slots]
         goals[:, 3:] /= np.linalg.norm(goals[:, 3:], axis=1, keepdims=True)
-        return Start(scene, 0, goals)
+        return EpisodeStart(scene, 0, goals)
 
-    def judge(self, start: Start, execution: WorldExecution) -> Judge:
+    def judge(self, start: EpisodeStart, execution: WorldExecution) -> Judge:
         """Of `rearrange`."""
         return _LayoutJudge(start, execution)
 
@@ -315,7 +323,7 @@ def _check_fallen(execution: WorldExecution, scene: Scene) -> None:
 
 @dataclass(eq=False)
 class _GraspJudge:
-    start: Start
+    start: EpisodeStart
     execution: WorldExecution
 
     @cached_property
@@ -334,7 +342,7 @@ class _GraspJudge:
 
 
 class _PlaceJudge:
-    def __init__(self, start: Start, execution: WorldExecution) -> None:
+    def __init__(self, start: EpisodeStart, execution: WorldExecution) -> None:
         self._execution = execution
         self._scene = start.scene
         self._target = start.target
@@ -358,7 +366,7 @@ class _PlaceJudge:
 
 
 class _LayoutJudge:
-    def __init__(self, start: Start, execution: WorldExecution) -> None:
+    def __init__(self, start: EpisodeStart, execution: WorldExecution) -> None:
         self._execution = execution
         self._start = start
         symmetry = [turn_symmetry(asset) for asset in start.scene.objects]
