@@ -9,7 +9,6 @@ A block is written as a whole or not at all. Record and blocks carry checksums (
 
 from __future__ import annotations
 
-import io
 import json
 import shutil
 from collections.abc import Callable, Iterator, Mapping
@@ -20,20 +19,18 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from cluttergen_jax.errors import BankError, ConfigError, closest, range_text
 from cluttergen_jax.files import folder_whole, remove_partial, write_atomically, writing
 from cluttergen_jax.kept_folder import KeptFolder, hold
 from cluttergen_jax.scene import Bank
 from cluttergen_jax.schema import (
-    SEAL,
     SchemaError,
-    check_seal,
     checked_record,
     convert,
+    read_sealed_parquet,
+    sealed_parquet,
     with_checksum,
-    with_seal,
 )
 
 FORMAT = 1
@@ -228,15 +225,7 @@ class SampleFormat:
         """
         file = self.block_path(path, split, block)
         try:
-            data = file.read_bytes()
-            check_seal(data)
-            table = pq.read_table(
-                pa.BufferReader(data),
-                schema=self.schema,
-                page_checksum_verification=True,
-                partitioning=None,
-            )
-            table.validate(full=True)
+            table = read_sealed_parquet(file.read_bytes(), self.schema)
             first = block * self.block_size
             numbers = np.arange(first, first + table.num_rows)
             if table.num_rows < num_rows or not np.array_equal(table[self.column], numbers):
@@ -251,15 +240,8 @@ class SampleFormat:
 
     def write_block(self, path: Path, split: str, block: int, table: pa.Table) -> None:
         """Stores a block."""
-        buffer = io.BytesIO()
-        with pq.ParquetWriter(
-            buffer, table.schema, compression="zstd", write_page_checksum=True
-        ) as writer:
-            writer.write_table(table)
-            writer.add_key_value_metadata(SEAL)
-        write_atomically(
-            self.block_path(path, split, block), with_seal(buffer.getvalue()), is_durable=True
-        )
+        file = self.block_path(path, split, block)
+        write_atomically(file, sealed_parquet(table, compression="zstd"), is_durable=True)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,6 @@ the user's own pools.
 from __future__ import annotations
 
 import hashlib
-import io
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -18,7 +17,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from mujoco.rollout import Rollout
 
 from cluttergen_jax.assets import ObjectAsset, object_hash, user_root
@@ -29,7 +27,13 @@ from cluttergen_jax.downstream.transforms import pose_of
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.schema import SEAL, Numbers, SchemaError, check_numbers, check_seal, with_seal
+from cluttergen_jax.schema import (
+    Numbers,
+    SchemaError,
+    check_numbers,
+    read_sealed_parquet,
+    sealed_parquet,
+)
 from cluttergen_jax.tables import aligned_table
 
 MIN_GRASPS = 8
@@ -232,11 +236,7 @@ def write_grasps(path: Path, sets: Sequence[Grasps]) -> Path:
             "tested": " ".join(f"{each.name}={each.num_tested}" for each in sets),
         },
     )
-    buffer = io.BytesIO()
-    with pq.ParquetWriter(buffer, schema, write_page_checksum=True) as writer:
-        writer.write_table(pa.table(rows, schema=schema))
-        writer.add_key_value_metadata(SEAL)
-    write_atomically(path, with_seal(buffer.getvalue()))
+    write_atomically(path, sealed_parquet(pa.table(rows, schema=schema)))
     return path
 
 
@@ -264,10 +264,7 @@ def read_grasps(path: Path, asset: ObjectAsset) -> Grasps | None:
     if not path.is_file():
         return None
     try:
-        data = path.read_bytes()
-        check_seal(data)
-        table = pq.read_table(pa.BufferReader(data), page_checksum_verification=True)
-        table.validate(full=True)
+        table = read_sealed_parquet(path.read_bytes())
         metadata = {
             key.decode(): text.decode() for key, text in (table.schema.metadata or {}).items()
         }
