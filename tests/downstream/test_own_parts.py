@@ -178,8 +178,11 @@ from cluttergen_jax.assets.object_files import object_hash  # noqa: E402
 from cluttergen_jax.downstream.rearrange.episode import rearrange_episode  # noqa: E402
 from cluttergen_jax.downstream.rearrange.observe import TrueObserver  # noqa: E402
 from cluttergen_jax.downstream.rearrange.task import RearrangeOptions  # noqa: E402
-from cluttergen_jax.downstream.robot.grasping.grasps import GraspSets, write_grasps  # noqa: E402
-from cluttergen_jax.downstream.robot.grasping.own_grasps import GraspFinder  # noqa: E402
+from cluttergen_jax.downstream.robot.grasping.grasps import (  # noqa: E402
+    GraspFinder,
+    GraspSets,
+    write_grasps,
+)
 from cluttergen_jax.downstream.robot.motion.plan import Planner  # noqa: E402
 from cluttergen_jax.downstream.robot.trials import run_trials  # noqa: E402
 

@@ -16,7 +16,7 @@ from cluttergen_jax.cli.main import main
 from cluttergen_jax.downstream.robot import film
 from cluttergen_jax.downstream.robot import trials as robot_trials
 from cluttergen_jax.downstream.robot.episode import EpisodeResult
-from cluttergen_jax.downstream.robot.grasping import own_grasps
+from cluttergen_jax.downstream.robot.grasping import grasps as robot_grasps
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.motion import plan
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
@@ -68,7 +68,7 @@ def made(monkeypatch):
 
     monkeypatch.setattr(robot_trials, "_episode", episode)
     monkeypatch.setattr(
-        own_grasps, "grasps_of", lambda objects, num_threads, robot: [GRASPS for _ in objects]
+        robot_grasps, "grasps_of", lambda objects, num_threads, robot: [GRASPS for _ in objects]
     )
     return numbers
 
@@ -97,7 +97,7 @@ def test_rows_are_not_continued_with_other_grasps_or_another_planner(
     with monkeypatch.context() as other:
         of_others = replace(GRASPS, margin=GRASPS.margin + 1)
         other.setattr(
-            own_grasps,
+            robot_grasps,
             "grasps_of",
             lambda objects, num_threads, robot: [of_others for _ in objects],
         )
@@ -136,7 +136,7 @@ def test_films_are_drawn_of_what_was_kept_and_of_earlier_processes_run_again(
         drawn.append((path.name, list(frames)))
 
     monkeypatch.setattr(robot_trials, "_episode", episode)
-    monkeypatch.setattr(own_grasps, "grasps_of", lambda assets, **_: [GRASPS] * len(assets))
+    monkeypatch.setattr(robot_grasps, "grasps_of", lambda assets, **_: [GRASPS] * len(assets))
     monkeypatch.setattr(film, "save_film", save)
     monkeypatch.setattr(film, "episode_frames", lambda trace, title, row: iter(trace.states))
     scenes = list(read_scenes(bank))

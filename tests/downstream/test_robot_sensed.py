@@ -15,10 +15,15 @@ from cluttergen_jax.downstream.robot.episode import Referee, sensing_place_episo
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.motion import collision, execute
-from cluttergen_jax.downstream.robot.motion.collision import Mode, PlanningWorld
+from cluttergen_jax.downstream.robot.motion.collision import (
+    CELL,
+    THIN,
+    Mode,
+    PlanningWorld,
+    occupancy_boxes,
+)
 from cluttergen_jax.downstream.robot.motion.execute import Execution
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
-from cluttergen_jax.downstream.robot.motion.occupancy_boxes import CELL, THIN, occupancy_boxes
 from cluttergen_jax.downstream.robot.outcome import Outcome
 from cluttergen_jax.downstream.robot.places import CameraPlacer
 from cluttergen_jax.downstream.robot.sensing_arm import ArmSilhouette

@@ -18,8 +18,8 @@ from cluttergen_jax.downstream.rearrange.layouts import SceneDraw
 from cluttergen_jax.downstream.rearrange.observe import EpisodeView, ObjectTracker, TrueObserver
 from cluttergen_jax.downstream.rearrange.task import (
     RearrangeOptions,
+    RearrangeProblem,
     RearrangeSetting,
-    RearrangeTask,
 )
 from cluttergen_jax.downstream.robot.episode import stand_beside
 from cluttergen_jax.downstream.robot.grasping.grasps import grasps_of
@@ -87,7 +87,7 @@ def _rearrange(env: RobotEnv, start: Start, copy: WorldExecution, seed: int) -> 
     robot = env.world.description
     number = len(start.goals)
     draw = SceneDraw(env.world.bank.bank, "clear", number)
-    task = RearrangeTask(
+    task = RearrangeProblem(
         RearrangeSetting(env.task, num_objects=number, start=draw.area, target=draw.area),
         replace(scene, support=draw.support),
         tuple(draw.names.index(name) for name in scene.names),

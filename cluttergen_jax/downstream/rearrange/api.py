@@ -22,9 +22,9 @@ from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets import ObjectAsset, Rectangle
+    from cluttergen_jax.downstream.rearrange.layout_views import LayoutPanel
     from cluttergen_jax.downstream.rearrange.observe import Observer
     from cluttergen_jax.downstream.rearrange.perceive import PerceptionObserver
-    from cluttergen_jax.downstream.rearrange.pick import LayoutPanel
     from cluttergen_jax.downstream.rearrange.starts import OwnScenes
     from cluttergen_jax.downstream.rearrange.trials import Rearrangements
     from cluttergen_jax.downstream.robot.description import RobotDescription
@@ -228,7 +228,7 @@ def _person(
     rule: LayoutRule, host: str, port: int, browser: bool, show: Callable[[str], None]
 ) -> Iterator[LayoutPanel]:
     """A panel in a browser in which layouts are chosen."""
-    from cluttergen_jax.downstream.rearrange.pick import LayoutPanel
+    from cluttergen_jax.downstream.rearrange.layout_views import LayoutPanel
     from cluttergen_jax.rendering import announce, open_server
 
     server = open_server(host, port, "cluttergen: which layout")
@@ -255,8 +255,7 @@ def _own_scenes(
     from cluttergen_jax.assets import find_support, parse_region, support_hash
     from cluttergen_jax.downstream.bank_scenes import check_one_level
     from cluttergen_jax.downstream.digests import json_digest
-    from cluttergen_jax.downstream.rearrange.goals import bank_place, is_bank
-    from cluttergen_jax.downstream.rearrange.starts import OwnScenes
+    from cluttergen_jax.downstream.rearrange.starts import OwnScenes, bank_place, is_bank
     from cluttergen_jax.scene import read_bank, region_of
 
     found = None if bank is None else read_bank(bank)

@@ -95,7 +95,7 @@ SETTINGS = {
 
 
 @dataclass(frozen=True, eq=False)
-class RearrangeTask:
+class RearrangeProblem:
     """What is to be rearranged.
 
     Attributes:
@@ -125,7 +125,7 @@ class RearrangeTask:
     robot: RobotDescription | None = None
 
 
-Chooser = Callable[[RearrangeTask, np.ndarray, Layouts], int]
+Chooser = Callable[[RearrangeProblem, np.ndarray, Layouts], int]
 """Chooses a layout by number, shown where the N objects are f64[N, 7] and what layouts there are."""
 
 

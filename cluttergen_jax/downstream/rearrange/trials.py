@@ -12,18 +12,17 @@ import numpy as np
 from cluttergen_jax.assets import find_pool
 from cluttergen_jax.config import FilmFormat
 from cluttergen_jax.downstream.digests import constants_hash
-from cluttergen_jax.downstream.rearrange import episode, judge, layouts, moves, observe, order, task
+from cluttergen_jax.downstream.rearrange import episode, judge, layouts, observe, order, task
 from cluttergen_jax.downstream.rearrange.episode import rearrange_episode
-from cluttergen_jax.downstream.rearrange.goals import task_words
+from cluttergen_jax.downstream.rearrange.layout_views import save_sheets
 from cluttergen_jax.downstream.rearrange.observe import Observer, TrueObserver
-from cluttergen_jax.downstream.rearrange.sheet import save_sheets
-from cluttergen_jax.downstream.rearrange.starts import OwnScenes, Starts
+from cluttergen_jax.downstream.rearrange.starts import OwnScenes, Starts, task_words
 from cluttergen_jax.downstream.rearrange.task import (
     Chooser,
     RearrangeOptions,
+    RearrangeProblem,
     RearrangeResult,
     RearrangeSetting,
-    RearrangeTask,
 )
 from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
 from cluttergen_jax.downstream.robot.film import FILMS, Films
@@ -107,7 +106,7 @@ def _object_row(rows: Sequence[RearrangeResult], name: str) -> tuple[str, str]:
 @cache
 def rearrange_hash() -> str:
     """Hex digest of how rearrangements are planned, done and judged, but for what an observer does."""
-    return constants_hash(episode, judge, layouts, moves, observe, order, task, arm=planner_hash())
+    return constants_hash(episode, judge, layouts, observe, order, task, arm=planner_hash())
 
 
 @hold_out
@@ -175,7 +174,7 @@ def run_rearrangements(
     # Where nothing is left to be done it is not made.
     starts = cache(lambda: Starts(setting, pool, num_threads, own_grasps, planner, own, robot))
 
-    def task_of(index: int) -> RearrangeTask:
+    def task_of(index: int) -> RearrangeProblem:
         task = starts()(episode_seed(seed, index), index)
         file.note_grasps({each.name: each.digest for each in task.grasps})
         return task

@@ -88,7 +88,7 @@ def robot_grasps(
         if out is not None:
             write_grasps(Path(out), sets.sets)
         if picture is not None:
-            from cluttergen_jax.downstream.robot.grasping.picture import grasp_sheet
+            from cluttergen_jax.downstream.robot.grasping.grasps import grasp_sheet
             from cluttergen_jax.rendering import save_png
 
             save_png(grasp_sheet(chosen, sets), picture)

@@ -9,9 +9,13 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.config import ContactConfig
-from cluttergen_jax.downstream.robot.description import GripperTable, RobotDescription, find_robot
+from cluttergen_jax.downstream.robot.description import (
+    GripperTable,
+    RobotDescription,
+    compile_model,
+    find_robot,
+)
 from cluttergen_jax.downstream.robot.model import hand_spec
-from cluttergen_jax.downstream.robot.model_files import compile_model
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.errors import ConfigError
 

@@ -15,8 +15,8 @@ from cluttergen_jax.downstream.robot.description import (
     RobotDescription,
     arm_limits,
     find_robot,
+    mujoco_spec,
 )
-from cluttergen_jax.downstream.robot.model_files import mujoco_spec
 from cluttergen_jax.geometry import rotate_in_plane, yaw_quaternion
 from cluttergen_jax.scene import Scene
 

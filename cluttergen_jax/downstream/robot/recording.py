@@ -39,7 +39,7 @@ _REACH = 1.5
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class EpisodeRecording:
     """One episode, T frames.
 
     Attributes:

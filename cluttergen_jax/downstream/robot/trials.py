@@ -24,14 +24,12 @@ from cluttergen_jax.downstream.robot.episode import (
 )
 from cluttergen_jax.downstream.robot.film import FILMS, Films
 from cluttergen_jax.downstream.robot.grasping import grips
-from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, GraspSets
-from cluttergen_jax.downstream.robot.grasping.own_grasps import GraspFinder
+from cluttergen_jax.downstream.robot.grasping.grasps import GraspFinder, Grasps, GraspSets
 from cluttergen_jax.downstream.robot.motion import (
     collision,
     execute,
     ik,
     mover,
-    occupancy_boxes,
     plan,
 )
 from cluttergen_jax.downstream.robot.motion.execute import Trace
@@ -272,5 +270,5 @@ def planner_recipe(known: str, planner: PathPlanner | None) -> str:
 @cache
 def planner_hash() -> str:
     """Hex digest of how the arm moves, plans, looks and is judged."""
-    motion = (collision, occupancy_boxes, execute, ik, mover, plan)
+    motion = (collision, execute, ik, mover, plan)
     return constants_hash(cameras, episode, gripper, model, sensing_arm, grips, *motion)

@@ -12,8 +12,13 @@ import numpy as np
 
 from cluttergen_jax.assets import VISUAL_GROUP, ObjectAsset, object_hash, populated_spec
 from cluttergen_jax.downstream.robot.description import RobotDescription
-from cluttergen_jax.downstream.robot.grasping.antipodal import Pairs, Union, sample_pairs
-from cluttergen_jax.downstream.robot.grasping.candidates import MARGIN, draw_approaches
+from cluttergen_jax.downstream.robot.grasping.candidates import (
+    MARGIN,
+    PointPairs,
+    Union,
+    draw_approaches,
+    sample_pairs,
+)
 from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.robot.model import bodies_of_tree, hand_spec, remove_drawings
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of, rigid, shift_along
@@ -230,7 +235,7 @@ def _surface_poses(
 
 
 @lru_cache(maxsize=1024)
-def _lines(asset: ObjectAsset, widest: float) -> tuple[Union, Pairs]:
+def _lines(asset: ObjectAsset, widest: float) -> tuple[Union, PointPairs]:
     """An object's union of parts and its antipodal pairs: by its content alone."""
     union = Union(asset.parts)
     rng = np.random.default_rng(int(object_hash(asset)[:12], 16))

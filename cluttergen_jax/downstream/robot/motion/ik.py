@@ -12,9 +12,13 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from cluttergen_jax.config import ContactConfig
-from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
+from cluttergen_jax.downstream.robot.description import (
+    EXTRA,
+    RobotDescription,
+    compile_model,
+    find_robot,
+)
 from cluttergen_jax.downstream.robot.model import TOOL, Robot, arm_spec
-from cluttergen_jax.downstream.robot.model_files import EXTRA, compile_model
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
 from cluttergen_jax.errors import ConfigError, MissingExtraError
 
