@@ -27,9 +27,12 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.rearrange.perceive import PerceptionObserver
     from cluttergen_jax.downstream.rearrange.starts import OwnScenes
     from cluttergen_jax.downstream.rearrange.trials import Rearrangements
-    from cluttergen_jax.downstream.robot.description import RobotDescription
-    from cluttergen_jax.downstream.robot.grasping.grasps import GraspSets
-    from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
+    from cluttergen_jax.downstream.robot import (
+        GraspSets,
+        GraspSource,
+        PathPlanner,
+        RobotDescription,
+    )
 
 _MOST_SEED = 999_999
 _MOST_EPISODES = 1_000_000
@@ -148,9 +151,7 @@ def rearrange(
 
     from cluttergen_jax.downstream.rearrange.task import SETTINGS, RearrangeOptions
     from cluttergen_jax.downstream.rearrange.trials import run_rearrangements
-    from cluttergen_jax.downstream.robot.description import find_robot
-    from cluttergen_jax.downstream.robot.film import check_films
-    from cluttergen_jax.downstream.robot.recorder import RecordAsked
+    from cluttergen_jax.downstream.robot import RecordAsked, check_films, find_robot
 
     check_folder(out)
     check_workers("num_threads", num_threads)

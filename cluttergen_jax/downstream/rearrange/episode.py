@@ -30,16 +30,23 @@ from cluttergen_jax.downstream.rearrange.task import (
     RearrangeProblem,
     RearrangeResult,
 )
-from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
-from cluttergen_jax.downstream.robot.grasping.grips import FIRM, first_grasp
-from cluttergen_jax.downstream.robot.model import base_pose
-from cluttergen_jax.downstream.robot.motion.collision import ROOMS, PlanningWorld
-from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase, Trace
-from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
-from cluttergen_jax.downstream.robot.motion.mover import Mover
-from cluttergen_jax.downstream.robot.motion.plan import PickPlan
-from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
-from cluttergen_jax.downstream.robot.protocols import PathPlanner
+from cluttergen_jax.downstream.robot import (
+    FIRM,
+    ROOMS,
+    ArmKinematics,
+    Execution,
+    Failed,
+    Grasps,
+    Mover,
+    Outcome,
+    PathPlanner,
+    Phase,
+    PickPlan,
+    PlanningWorld,
+    Trace,
+    base_pose,
+    first_grasp,
+)
 from cluttergen_jax.downstream.transforms import equal_places, matrix_of, offset
 from cluttergen_jax.scene import Scene
 

@@ -8,9 +8,7 @@ import numpy as np
 
 from cluttergen_jax.config import StabilityConfig, VerifyConfig
 from cluttergen_jax.downstream.rearrange.observe import Cause
-from cluttergen_jax.downstream.robot.episode import WATCHED
-from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
-from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.robot import WATCHED, Execution, Failed, Outcome, Phase
 from cluttergen_jax.downstream.transforms import matrix_of, offset
 from cluttergen_jax.physics import check_standing, displacement, has_moved, watch
 from cluttergen_jax.scene import Scene

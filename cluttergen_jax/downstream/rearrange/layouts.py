@@ -14,13 +14,16 @@ from scipy.spatial.distance import cdist
 
 from cluttergen_jax.assets import ObjectAsset, Rectangle, SupportAsset, find_support
 from cluttergen_jax.config import Method
-from cluttergen_jax.downstream.robot.description import RobotDescription
-from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
-from cluttergen_jax.downstream.robot.grasping.grips import rank_grasps
-from cluttergen_jax.downstream.robot.model import base_pose
-from cluttergen_jax.downstream.robot.motion.collision import ROOM as HAND_ROOM
-from cluttergen_jax.downstream.robot.motion.collision import Mode, PlanningWorld
-from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
+from cluttergen_jax.downstream.robot import ROOM as HAND_ROOM
+from cluttergen_jax.downstream.robot import (
+    ArmKinematics,
+    Grasps,
+    Mode,
+    PlanningWorld,
+    RobotDescription,
+    base_pose,
+    rank_grasps,
+)
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.downstream.words import LayoutRule
 from cluttergen_jax.errors import ConfigError

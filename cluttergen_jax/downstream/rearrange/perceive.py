@@ -11,10 +11,13 @@ from cluttergen_jax.assets import SupportAsset
 from cluttergen_jax.downstream.digests import constants_hash, json_digest
 from cluttergen_jax.downstream.perception.finder import FoundScene, SceneFinder, finder_hash
 from cluttergen_jax.downstream.rearrange.observe import EpisodeView, SceneEstimate
-from cluttergen_jax.downstream.robot.cameras import above, wrist_camera
-from cluttergen_jax.downstream.robot.description import RobotDescription
-from cluttergen_jax.downstream.robot.model import base_pose
-from cluttergen_jax.downstream.robot.sensing_arm import ArmSilhouette
+from cluttergen_jax.downstream.robot import (
+    ArmSilhouette,
+    RobotDescription,
+    above,
+    base_pose,
+    wrist_camera,
+)
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, Camera, CameraPlan, NoiseConfig, noisy
 from cluttergen_jax.views import View

@@ -32,9 +32,14 @@ from cluttergen_jax.downstream.rearrange.task import (
     RearrangeResult,
     RearrangeSetting,
 )
-from cluttergen_jax.downstream.robot.description import RobotDescription
-from cluttergen_jax.downstream.robot.grasping.grasps import GraspFinder, Grasps, GraspSets
-from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
+from cluttergen_jax.downstream.robot import (
+    GraspFinder,
+    Grasps,
+    GraspSets,
+    GraspSource,
+    PathPlanner,
+    RobotDescription,
+)
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.geometry import rotate_in_plane
 from cluttergen_jax.placement import (

@@ -10,10 +10,7 @@ import numpy as np
 from cluttergen_jax.assets import Rectangle
 from cluttergen_jax.config import Method
 from cluttergen_jax.downstream.rearrange.layouts import AREA, Layouts, SceneDraw
-from cluttergen_jax.downstream.robot.description import RobotDescription
-from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
-from cluttergen_jax.downstream.robot.outcome import Ending
-from cluttergen_jax.downstream.robot.protocols import PathPlanner
+from cluttergen_jax.downstream.robot import Ending, Grasps, PathPlanner, RobotDescription
 from cluttergen_jax.downstream.words import LayoutRule, PickOrder
 from cluttergen_jax.scene import Scene
 

@@ -24,18 +24,23 @@ from cluttergen_jax.downstream.rearrange.task import (
     RearrangeResult,
     RearrangeSetting,
 )
-from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
-from cluttergen_jax.downstream.robot.film import FILMS, Films
-from cluttergen_jax.downstream.robot.grasping.grasps import GraspSets
-from cluttergen_jax.downstream.robot.motion.execute import Trace
-from cluttergen_jax.downstream.robot.outcome import Endings, success_of
-from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
-from cluttergen_jax.downstream.robot.recorder import RecordAsked, open_recorder
-from cluttergen_jax.downstream.robot.trials import (
+from cluttergen_jax.downstream.robot import (
     EPISODES,
+    FILMS,
+    Endings,
+    Films,
+    GraspSets,
+    GraspSource,
+    PathPlanner,
+    RecordAsked,
+    RobotDescription,
+    Trace,
     episode_seed,
+    find_robot,
+    open_recorder,
     planner_hash,
     planner_recipe,
+    success_of,
 )
 from cluttergen_jax.downstream.rows import RowFile, share_of
 from cluttergen_jax.evaluation import versions
