@@ -38,15 +38,14 @@ from cluttergen_jax.downstream.robot.trials import (
     planner_hash,
     planner_recipe,
 )
-from cluttergen_jax.downstream.rows import RowFile, share_of
 from cluttergen_jax.evaluation import versions
 from cluttergen_jax.kept_folder import hold_out
 from cluttergen_jax.own_parts import is_own, part_label
+from cluttergen_jax.statistics import share_of
+from cluttergen_jax.stores import RowStore
 from cluttergen_jax.tables import aligned_table
 
 _MOST_DRAWS = 16
-_ADDED = ("grasps", "objects", "planner", "registration", "robot")
-"""Of recipes: what files of older versions lack."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,9 +167,7 @@ def run_rearrangements(
     recipe["planner"] = planner_recipe(rearrange_hash(), planner)
     if ask is not None:
         recipe["choose"] = "person"
-    file = RowFile(
-        None if out is None else out / EPISODES, recipe, RearrangeResult, "rearrange", _ADDED
-    )
+    file = RowStore(None if out is None else out / EPISODES, recipe, RearrangeResult, "rearrange")
     rows = file.read(number)
     # Where nothing is left to be done it is not made.
     starts = cache(lambda: Starts(setting, pool, num_threads, own_grasps, planner, own, robot))

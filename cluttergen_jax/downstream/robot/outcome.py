@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
 
-from cluttergen_jax.downstream.rows import share_of
+from cluttergen_jax.statistics import share_of
 
 
 class Outcome(StrEnum):

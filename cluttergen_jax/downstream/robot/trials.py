@@ -39,7 +39,6 @@ from cluttergen_jax.downstream.robot.outcome import Endings, Outcome, causes_of,
 from cluttergen_jax.downstream.robot.places import CameraPlacer
 from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
 from cluttergen_jax.downstream.robot.recorder import RecordAsked, open_recorder
-from cluttergen_jax.downstream.rows import RowFile
 from cluttergen_jax.downstream.words import RobotTask
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.evaluation import versions
@@ -47,11 +46,10 @@ from cluttergen_jax.geometry import rotation_matrix
 from cluttergen_jax.kept_folder import hold_out
 from cluttergen_jax.own_parts import part_label
 from cluttergen_jax.scene import Scene
+from cluttergen_jax.stores import RowStore
 from cluttergen_jax.tables import aligned_table
 
 EPISODES = "episodes.jsonl"
-_ADDED = ("grasps", "planner", "robot", "versions", "weights")
-"""Of recipes: what files of older versions lack."""
 _UPRIGHT = math.cos(math.radians(3.0))
 Places = Callable[[int, Scene], np.ndarray]
 """Where the last object of a scene may stand: f64[M, 7], T_world_object, best first."""
@@ -177,9 +175,7 @@ def run_trials(
         "planner": planner_recipe(planner_hash(), planner),
         "versions": versions(),
     }
-    file = RowFile(
-        None if out is None else out / EPISODES, recipe, EpisodeResult, "robot place", _ADDED
-    )
+    file = RowStore(None if out is None else out / EPISODES, recipe, EpisodeResult, "robot place")
     rows = file.read(number)
     # A bank that has grown has scenes of their own for episodes which took the first ones again.
     there = {-1, *(_number_of(scenes, index) for index in range(len(scenes)))}
