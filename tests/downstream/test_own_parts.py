@@ -273,7 +273,7 @@ def test_the_arm_goes_the_ways_of_an_own_planner_by_own_grasps(tmp_path):
     assert place(Straight(), tmp_path).rows == found.rows
     with pytest.raises(BankError, match="another planner"):
         place(None, tmp_path)
-    with pytest.raises(BankError, match="another grasps of blue"):
+    with pytest.raises(BankError, match=r"another grasps\.blue"):
         place(planner, tmp_path, {"blue": (POSE, [0.05])})
 
 

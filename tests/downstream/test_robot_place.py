@@ -81,8 +81,8 @@ def test_interrupted_trials_go_on_where_they_stopped(bank, made, tmp_path):
     assert list(map(repr, again.rows[:4])) == list(map(repr, first.rows))
     assert len(run_trials(scenes, "lift", 3, 0, tmp_path, {"seed": 0}).rows) == 3
     assert made == list(range(7))
-    with pytest.raises(BankError, match="made otherwise, with another noise, seed"):
-        run_trials(scenes, "lift", 3, 0, tmp_path, {"seed": 1, "noise": None})
+    with pytest.raises(BankError, match=r"rows made with another noise .*, seed"):
+        run_trials(scenes, "lift", 3, 0, tmp_path, {"seed": 1, "noise": 0.5})
     with (tmp_path / EPISODES).open("a") as file:
         file.write("{half a li")
     with pytest.raises(BankError, match="damaged"):
@@ -101,7 +101,7 @@ def test_rows_are_not_continued_with_other_grasps_or_another_planner(
             "grasps_of",
             lambda objects, num_threads, robot: [of_others for _ in objects],
         )
-        with pytest.raises(BankError, match="another grasps of "):
+        with pytest.raises(BankError, match=r"another grasps\."):
             run_trials(scenes, "lift", 3, 0, tmp_path, {})
     with monkeypatch.context() as other:
         other.setattr(plan, "MOST_CHECKS", plan.MOST_CHECKS + 1)

@@ -35,10 +35,11 @@ from cluttergen_jax.downstream.perception.segment.network_segmenter import (
 )
 from cluttergen_jax.downstream.perception.types import Segmentation, Segmenter
 from cluttergen_jax.downstream.perception.views.store import StoredView, ViewSet
-from cluttergen_jax.downstream.rows import RowFile, share_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation import versions
 from cluttergen_jax.sensing import REALSENSE, Camera
+from cluttergen_jax.statistics import share_of
+from cluttergen_jax.stores import RowStore
 from cluttergen_jax.tables import aligned_table
 
 TRUE_MASKS = "true"
@@ -240,7 +241,7 @@ def evaluate_perception(
             # Another network, or another rule of certainty, has rows of its own.
             digest = json_digest(setting, 8)
             name = f"{split}-{number}-cameras-noise-{factor:g}-{digest}.jsonl"
-            file = RowFile(
+            file = RowStore(
                 None if out is None else out / name, setting, JudgedMoment, "perception eval"
             )
             moments = _judge_all(
@@ -261,7 +262,7 @@ def _judge_all(
     num_views: int | None,
     seed: int,
     finder: SceneFinder,
-    file: RowFile[JudgedMoment],
+    file: RowStore[JudgedMoment],
     true_masks: bool,
 ) -> list[JudgedMoment]:
     total = (num_views or int(views.split(split)["num_views"])) // cameras

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -26,9 +26,7 @@ from cluttergen_jax.downstream.rearrange.task import (
 )
 from cluttergen_jax.downstream.robot import (
     EPISODES,
-    FILMS,
     Endings,
-    Films,
     GraspSets,
     GraspSource,
     PathPlanner,
@@ -37,20 +35,18 @@ from cluttergen_jax.downstream.robot import (
     Trace,
     episode_seed,
     find_robot,
+    make_episodes,
     open_recorder,
     planner_hash,
     planner_recipe,
     success_of,
 )
-from cluttergen_jax.downstream.rows import RowFile, share_of
 from cluttergen_jax.evaluation import versions
 from cluttergen_jax.kept_folder import hold_out
 from cluttergen_jax.own_parts import is_own, part_label
+from cluttergen_jax.statistics import share_of
+from cluttergen_jax.stores import RowStore
 from cluttergen_jax.tables import aligned_table
-
-_MOST_DRAWS = 16
-_ADDED = ("grasps", "objects", "planner", "registration", "robot")
-"""Of recipes: what files of older versions lack."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,9 +168,7 @@ def run_rearrangements(
     recipe["planner"] = planner_recipe(rearrange_hash(), planner)
     if ask is not None:
         recipe["choose"] = "person"
-    file = RowFile(
-        None if out is None else out / EPISODES, recipe, RearrangeResult, "rearrange", _ADDED
-    )
+    file = RowStore(None if out is None else out / EPISODES, recipe, RearrangeResult, "rearrange")
     rows = file.read(number)
     # Where nothing is left to be done it is not made.
     starts = cache(lambda: Starts(setting, pool, num_threads, own_grasps, planner, own, robot))
@@ -199,15 +193,7 @@ def run_rearrangements(
     if record is not None:
         words = task_words("" if own is None else own.goals)
         recorder = open_recorder(record, recipe, seed, words)
-        recorder.complete(rows, again)
-    filmed = None if out is None or films is None else Films(run, out / FILMS, films, setting.name)
-    shown = run if filmed is None else filmed.run
-    make = shown if recorder is None else partial(recorder.run, run=shown)
-    file.complete(rows, number, make, setting.name, note=note)
-    if recorder is not None:
-        recorder.finish()
+    make_episodes(file, rows, number, run, setting.name, note, out, films, recorder, again)
     if out is not None and sheets:
         save_sheets(rows, task_of, options, observer, out)
-    if filmed is not None:
-        filmed.draw(rows, again)
     return Rearrangements(setting.name, told, tuple(rows))

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.robot.cameras import above, wrist_camera
     from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
     from cluttergen_jax.downstream.robot.episode import WATCHED
-    from cluttergen_jax.downstream.robot.film import FILMS, Films, check_films
+    from cluttergen_jax.downstream.robot.film import check_films
     from cluttergen_jax.downstream.robot.grasping.grasps import GraspFinder, Grasps, GraspSets
     from cluttergen_jax.downstream.robot.grasping.grips import FIRM, first_grasp, rank_grasps
     from cluttergen_jax.downstream.robot.model import base_pose
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.robot.trials import (
         EPISODES,
         episode_seed,
+        make_episodes,
         planner_hash,
         planner_recipe,
     )
@@ -34,7 +35,7 @@ __getattr__, __all__ = offer(
         "cameras": ("above", "wrist_camera"),
         "description": ("RobotDescription", "find_robot"),
         "episode": ("WATCHED",),
-        "film": ("FILMS", "Films", "check_films"),
+        "film": ("check_films",),
         "grasping.grasps": ("GraspFinder", "GraspSets", "Grasps"),
         "grasping.grips": ("FIRM", "first_grasp", "rank_grasps"),
         "model": ("base_pose",),
@@ -47,6 +48,6 @@ __getattr__, __all__ = offer(
         "protocols": ("GraspSource", "PathPlanner"),
         "recorder": ("RecordAsked", "open_recorder"),
         "sensing_arm": ("ArmSilhouette",),
-        "trials": ("EPISODES", "episode_seed", "planner_hash", "planner_recipe"),
+        "trials": ("EPISODES", "episode_seed", "make_episodes", "planner_hash", "planner_recipe"),
     },
 )

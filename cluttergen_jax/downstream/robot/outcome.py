@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
 
-from cluttergen_jax.downstream.rows import share_of
+from cluttergen_jax.errors import BankError
+from cluttergen_jax.statistics import share_of
 
 
 class Outcome(StrEnum):
@@ -66,6 +67,21 @@ class EpisodeRow(Protocol):
     def is_success(self) -> bool: ...
     @property
     def seconds(self) -> float: ...
+
+
+def ending_of(row: EpisodeRow) -> str:
+    """How an episode ended, and of what."""
+    return f"{row.outcome}: {row.detail}".strip(" :")
+
+
+def check_repeated(number: int, known: EpisodeRow, found: EpisodeRow) -> None:
+    """Refuses an episode that was run once more and ended in another way (BankError)."""
+    if (found.outcome, found.detail) != (known.outcome, known.detail):
+        raise BankError(
+            f"episode {number} ended with {ending_of(known)!r}, and run again with {ending_of(found)!r}",
+            "episodes that end as they did, as those of the same version and machine do",
+            "another `out`",
+        )
 
 
 class Endings:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, get_args
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 import pyarrow as pa
@@ -15,19 +16,19 @@ import pyarrow.parquet as pq
 
 from cluttergen_jax.downstream.robot.model import TIMESTEP
 from cluttergen_jax.downstream.robot.motion.execute import Trace
-from cluttergen_jax.downstream.robot.outcome import EpisodeRow
-from cluttergen_jax.downstream.robot.recording import (
-    FPS,
-    EpisodeRecording,
-    RecordCameras,
-    hold_folder,
-)
+from cluttergen_jax.downstream.robot.outcome import EpisodeRow, check_repeated
+from cluttergen_jax.downstream.robot.recording import FPS, EpisodeRecording, RecordCameras
 from cluttergen_jax.downstream.words import RecordFormat
 from cluttergen_jax.errors import BankError, ConfigError, MissingExtraError
 from cluttergen_jax.files import check_folder, file_whole, write_atomically
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.rendering import find_backend, find_ffmpeg, save_film
+from cluttergen_jax.stores import BlockStore
 
+Row = TypeVar("Row", bound=EpisodeRow)
+_STORE = BlockStore(
+    "recordings", "recording.json", "recordings of episodes", "robot --record", argument="record"
+)
 _CHUNK = 1000
 _DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _VIDEO = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
@@ -38,48 +39,87 @@ _SAMPLED = 20
 _POSE = ["x", "y", "z", "qw", "qx", "qy", "qz"]
 
 
-class LeRobotFolder:
-    """Such a dataset (`recording.RecordFolder`); cameras: that are recorded; told: see `hold_folder`.
+class RecordFolder:
+    """A folder of recordings in some format, which an interrupted command continues.
+
+    Args:
+      cameras: that are recorded. told: what makes recordings comparable.
 
     Raises:
-      BankError: see `hold_folder`; or an episode is damaged.
-      MissingExtraError: there are cameras, and no encoder of MP4.
+      BankError: it holds something else, recordings of other settings or a damaged episode, or another
+        process writes there.
+      MissingExtraError: something is not installed that the format needs.
     """
 
-    def __init__(self, path: Path, cameras: RecordCameras, told: dict[str, Any]) -> None:
-        if cameras.sizes:
-            find_ffmpeg()
+    def __init__(self, path: Path, cameras: RecordCameras, told: Mapping[str, Any]) -> None:
         self._path = path
         self._sizes = cameras.sizes
-        self._lock = hold_folder(path, told)
+        self._import_extras()
+        self._lock = _STORE.folder(path).lock()
+        try:
+            _STORE.begin(path, told)
+            self._resume()
+        except BaseException:
+            self._lock.release()
+            raise
+
+    def _import_extras(self) -> None: ...
+
+    def _resume(self) -> None:
+        """Reads what is there."""
+        raise NotImplementedError
+
+    def numbers(self) -> list[int]:
+        """Of the episodes that are recorded, in their order."""
+        raise NotImplementedError
+
+    def add(self, recording: EpisodeRecording) -> None:
+        """Writes an episode, whole or not at all."""
+        raise NotImplementedError
+
+    def finish(self) -> None:
+        """Writes what is told of all episodes, and lets the folder go."""
+        self._lock.release()
+
+
+@contextmanager
+def _reading(place: Path) -> Iterator[None]:
+    """A file that is read in the block. Raises BankError: it is damaged."""
+    try:
+        yield
+    except (pa.ArrowException, OSError, ValueError, LookupError, TypeError) as error:
+        raise BankError(f"{place}: damaged ({error})", "an episode", "another `record`") from error
+
+
+class LeRobotFolder(RecordFolder):
+    """A LeRobot dataset, version 3.0: Parquet, MP4 (extra `video`), tables of episodes and tasks.
+
+    Every episode has files of its own, so that it appears whole or not at all, and what is there is never
+    written again but for the small tables that tell of all.
+    """
+
+    def _import_extras(self) -> None:
+        if self._sizes:
+            find_ffmpeg()
+
+    def _resume(self) -> None:
+        """Tells of an episode that was written by a process which was killed before it told."""
         self._episodes: list[dict[str, Any]] = []
         self._features: dict[str, Any] = {}
         self._robot = ""
         while (place := self._place(_EPISODES, len(self._episodes))).is_file():
-            try:
+            with _reading(place):
                 self._episodes += pq.read_table(place).to_pylist()
-            except (pa.ArrowException, OSError) as error:
-                raise BankError(
-                    f"{place}: damaged ({error})", "an episode", "another `record`"
-                ) from error
-        self._resume()
-
-    def _resume(self) -> None:
-        """Tells of an episode that was written by a process which was killed before it told."""
         place = self._path / "meta/info.json"
         if not place.is_file():
             # It was the first one, and is recorded again.
             self._episodes.clear()
             return
-        try:
+        with _reading(place):
             info = json.loads(place.read_bytes())
             told = info["total_episodes"]
             self._features = info["features"]
             self._robot = info["robot_type"]
-        except (OSError, ValueError, LookupError, TypeError) as error:
-            raise BankError(
-                f"{place}: damaged ({error})", "a dataset", "another `record`"
-            ) from error
         if told < len(self._episodes):
             self._tell()
 
@@ -90,9 +130,7 @@ class LeRobotFolder:
         index = len(self._episodes)
         length = len(recording)
         first = self._episodes[-1]["dataset_to_index"] if index else 0
-        tasks = list(
-            dict.fromkeys([*(each["tasks"][0] for each in self._episodes), recording.task])
-        )
+        tasks = [*self._tasks(), recording.task]
         is_last = np.arange(length) == length - 1
         columns = {
             "observation.state": recording.state,
@@ -116,35 +154,32 @@ class LeRobotFolder:
             "number": recording.number,
             "success": recording.is_success,
         }
-        chunk = {"chunk_index": index // _CHUNK, "file_index": index % _CHUNK}
-        row |= {
-            f"{kind}/{name}": at for kind in ("data", "meta/episodes") for name, at in chunk.items()
-        }
+        chunk = _chunk(index)
+        for kind in ("data", "meta/episodes"):
+            row |= {f"{kind}/{name}": at for name, at in chunk.items()}
         for name in self._sizes:
             key = f"observation.images.{name}"
             counted = _Pixels(recording.pictures(name))
             save_film(counted, self._place(_VIDEO, index, key), FPS)
-            row |= {f"videos/{key}/{what}": at for what, at in chunk.items()}
-            row |= {f"videos/{key}/from_timestamp": 0.0, f"videos/{key}/to_timestamp": length / FPS}
+            told = chunk | {"from_timestamp": 0.0, "to_timestamp": length / FPS}
+            row |= {f"videos/{key}/{what}": value for what, value in told.items()}
             row |= {f"stats/{key}/{what}": value for what, value in counted.stats(length).items()}
         for key, values in columns.items():
             row |= {f"stats/{key}/{what}": value for what, value in _stats(values).items()}
-        _write(
-            self._place(_DATA, index),
-            pa.table({key: _column(each) for key, each in columns.items()}),
-        )
+        table = pa.table({key: _column(each) for key, each in columns.items()})
+        _write(self._place(_DATA, index), table)
         _write(self._place(_EPISODES, index), pa.Table.from_pylist([row]))
         self._episodes.append(row)
         self._features = self._features_of(columns, recording.names)
         self._robot = recording.trace.robot.name
         self._tell()
 
-    def finish(self) -> None:
-        self._lock.release()
+    def _tasks(self) -> list[str]:
+        """Of all episodes, each once."""
+        return list(dict.fromkeys(each["tasks"][0] for each in self._episodes))
 
     def _place(self, form: str, index: int, key: str = "") -> Path:
-        chunk = {"chunk_index": index // _CHUNK, "file_index": index % _CHUNK}
-        return self._path / form.format(video_key=key, **chunk)
+        return self._path / form.format(video_key=key, **_chunk(index))
 
     def _features_of(self, columns: dict[str, np.ndarray], names: list[str]) -> dict[str, Any]:
         told = {"observation.state": names, "action": names, "observation.tool_pose": _POSE}
@@ -170,7 +205,7 @@ class LeRobotFolder:
 
     def _tell(self) -> None:
         """Writes the tables of all episodes; info.json, which says how many there are, last."""
-        tasks = list(dict.fromkeys(each["tasks"][0] for each in self._episodes))
+        tasks = self._tasks()
         index = {"task_index": np.arange(len(tasks)), "task": tasks}
         _write(self._path / "meta/tasks.parquet", pa.table(index).replace_schema_metadata(_PANDAS))
         stats = {key: self._all_stats(key) for key in self._features}
@@ -235,6 +270,11 @@ class _Pixels:
         return shaped | {"count": [length]}
 
 
+def _chunk(index: int) -> dict[str, int]:
+    """Where the files of an episode lie."""
+    return {"chunk_index": index // _CHUNK, "file_index": index % _CHUNK}
+
+
 def _stats(values: np.ndarray) -> dict[str, list[Any]]:
     table = values.astype(np.float64).reshape(len(values), -1)
     found = {"min": table.min(0), "max": table.max(0), "mean": table.mean(0), "std": table.std(0)}
@@ -284,32 +324,24 @@ _GYM = 2
 _PRESSED = {"compression": "gzip", "compression_opts": 4}
 
 
-class RobomimicFolder:
-    """Such a folder (`recording.RecordFolder`); cameras: that are recorded; told: see `hold_folder`.
+class RobomimicFolder(RecordFolder):
+    """Recordings in robomimic's HDF5 (extra `record`): demo.hdf5, put together of a file for each episode.
 
-    Raises:
-      BankError: see `hold_folder`; or an episode is damaged.
-      MissingExtraError: h5py is not installed.
+    The episodes' own files, in `episodes`, are what an interrupted command continues.
     """
 
-    def __init__(self, path: Path, cameras: RecordCameras, told: dict[str, Any]) -> None:
+    def _import_extras(self) -> None:
         try:
             import h5py
         except ImportError as error:
             raise MissingExtraError("record", "writing HDF5") from error
         self._h5py = h5py
-        self._path = path
-        self._sizes = cameras.sizes
-        self._lock = hold_folder(path, told)
+
+    def _resume(self) -> None:
         self._numbers: list[int] = []
         while (place := self._place(len(self._numbers))).is_file():
-            try:
-                with h5py.File(place) as file:
-                    self._numbers.append(int(file["demo"].attrs["number"]))
-            except (OSError, KeyError) as error:
-                raise BankError(
-                    f"{place}: damaged ({error})", "an episode", "another `record`"
-                ) from error
+            with _reading(place), self._h5py.File(place) as file:
+                self._numbers.append(int(file["demo"].attrs["number"]))
 
     def numbers(self) -> list[int]:
         return list(self._numbers)
@@ -366,23 +398,7 @@ class RobomimicFolder:
             env = {"env_name": "cluttergen", "type": _GYM, "env_kwargs": {}}
             data.attrs.update({"total": total, "env_args": json.dumps(env)})
             file["mask/success"] = np.array(good, "S")
-        self._lock.release()
-
-
-Row = TypeVar("Row", bound=EpisodeRow)
-
-
-class RecordFolder(Protocol):
-    """A folder of recordings in some format, which an interrupted command continues."""
-
-    def numbers(self) -> list[int]:
-        """Of the episodes that are recorded, in their order."""
-
-    def add(self, recording: EpisodeRecording) -> None:
-        """Writes an episode, whole or not at all."""
-
-    def finish(self) -> None:
-        """Writes what is told of all episodes."""
+        super().finish()
 
 
 class EpisodeRecorder:
@@ -414,12 +430,8 @@ class EpisodeRecorder:
         """
         trace = Trace(round(1 / (FPS * TIMESTEP)))
         row = run(number, trace)
-        if known is not None and (row.outcome, row.detail) != (known.outcome, known.detail):
-            raise BankError(
-                f"episode {number} ended with {known.outcome!r}, and run again with {row.outcome!r}",
-                "episodes that end as they did, as those of the same version and machine do",
-                "another `out`",
-            )
+        if known is not None:
+            check_repeated(number, known, row)
         # A command that was killed between the recording and the row has it already.
         if trace.states and number not in self._folder.numbers():
             cameras = self._cameras.place(trace.scene.support, (self._seed, number))

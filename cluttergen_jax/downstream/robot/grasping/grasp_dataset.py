@@ -50,11 +50,11 @@ from cluttergen_jax.scene import (
     write_unless_own,
 )
 from cluttergen_jax.sensing import REALSENSE, Camera, noisy
+from cluttergen_jax.stores import BlockStore
 from cluttergen_jax.tables import markdown_table
-from cluttergen_jax.views import begin_record, dataset_folder
 
 GRASPS = "grasps.parquet"
-_CONTENT = "grasps"
+_DATASET = BlockStore("grasps", "dataset.json", "grasps of scenes", "robot dataset")
 _COLUMNS = {
     "scene": (pa.int32(), "number of the scene in its bank"),
     "object": (pa.string(), "name of the object that is meant"),
@@ -142,9 +142,9 @@ def make(
         "robot": {"name": plan.robot.name, "hash": plan.robot.hash},
         "versions": versions(),
     }
-    with dataset_folder(out, _CONTENT).lock(), writing(out):
+    with _DATASET.hold(out), writing(out):
         remove_partial(out)
-        begin_record(out, recipe, _CONTENT)
+        _DATASET.begin(out, recipe)
         meshes = {asset.name: asset for scene in scenes for asset in scene.objects}
         for name, asset in meshes.items():
             _write(out / _mesh_name(name), mesh_text(_surface_of(asset)).encode())
