@@ -33,6 +33,7 @@ from cluttergen_jax.downstream.rearrange.starts import (
     task_words,
 )
 from cluttergen_jax.downstream.rearrange.task import SETTINGS, RearrangeOptions
+from cluttergen_jax.downstream.robot import find_robot
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.scene.bank.scene import read_scenes
 from tests.helpers import arm
@@ -111,7 +112,9 @@ def starts(monkeypatch):
         def __missing__(self, name):
             return (pose, [0.04])
 
-    return lambda setting=two, **own: Starts(setting, "boxes", 1, Any(), None, OwnScenes(**own))
+    return lambda setting=two, **own: Starts(
+        setting, "boxes", 1, Any(), None, OwnScenes(**own), find_robot()
+    )
 
 
 def test_what_a_relation_is_said_of_moves_and_all_else_stays(starts):

@@ -85,7 +85,7 @@ def test_the_brief_check_tells_firm_grasps_from_those_that_slip():
 def cube_grasps():
     cube = box("cube", (0.02, 0.03, 0.04), mass=0.3)
     with Rollout(nthread=0) as pool:
-        return cube, make_grasps(cube, 12, 0, pool)
+        return cube, make_grasps(cube, 12, 0, pool, find_robot())
 
 
 def test_a_box_has_grasps_across_both_of_its_narrow_sides(cube_grasps):

@@ -72,12 +72,14 @@ LIMITS = (find_robot().arm.speed, find_robot().arm.acceleration)
 
 @pytest.fixture(scope="module")
 def kinematics():
-    return ArmKinematics(base_pose(TABLE))
+    return ArmKinematics(base_pose(TABLE), find_robot())
 
 
 @pytest.fixture
 def world():
-    return PlanningWorld(SCENE.names, SCENE.objects, SCENE.poses, TARGET, TABLE, base_pose(TABLE))
+    return PlanningWorld(
+        SCENE.names, SCENE.objects, SCENE.poses, TARGET, TABLE, base_pose(TABLE), find_robot()
+    )
 
 
 @pytest.fixture(scope="module")
@@ -322,7 +324,7 @@ def test_causes_of_failure_are_told_apart(grasps):
 
 def test_the_arm_holds_things_by_the_detector_with_which_grasps_are_tested():
     scene = replace(SCENE, stability=replace(SCENE.stability, both_detectors=True))
-    tested = hand_spec(scene.contact).compile()
+    tested = hand_spec(scene.contact, find_robot()).compile()
     assert scene.to_mjspec().compile().opt.disableflags != tested.opt.disableflags
     assert with_robot(scene).compile().opt.disableflags == tested.opt.disableflags
 

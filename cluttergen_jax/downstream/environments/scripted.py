@@ -70,10 +70,8 @@ def _move_target(env: RobotEnv, start: Start, copy: WorldExecution, seed: int) -
     robot = env.world.description
     is_placed = env.task == PlaceTask.name
     stands = (stand_beside(scene.support),) if is_placed else ()
-    known = (scene.names, scene.objects, scene.poses, target, scene.support, base, stands)
-    mover = Mover(
-        copy, PlanningWorld(*known, robot=robot), ArmKinematics(base, robot), target, seed
-    )
+    known = (scene.names, scene.objects, scene.poses, target, scene.support, base, robot)
+    mover = Mover(copy, PlanningWorld(*known, stands), ArmKinematics(base, robot), target, seed)
     grasps = next(iter(grasps_of([scene.objects[target]], robot=robot)))
     goal = matrix_of(start.goals[target : target + 1]) if is_placed else None
     mover.pick(mover.find_pick(grasps, goal))

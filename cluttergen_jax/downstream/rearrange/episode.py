@@ -138,7 +138,7 @@ class Moves:
         scene = self._scene
         stood = matrix_of(self._sight.poses[k])
         known = (scene.names, scene.objects, self._sight.poses)
-        world = PlanningWorld(*known, k, scene.support, self.base, robot=self._execution.robot)
+        world = PlanningWorld(*known, k, scene.support, self.base, self._execution.robot)
         seed = int(self._rng.integers(2**30))
         feels = not self._sight.sees_held
         is_apart, room = care
@@ -334,7 +334,7 @@ class Rearranger:
         region = task.setting.target
         number = self._options.num_layouts
         reach_of = ReachCheck(
-            objects, task.grasps, range(num_moved), self._scene.support, FIRM, task.robot
+            objects, task.grasps, range(num_moved), self._scene.support, task.robot, FIRM
         )
         full = np.zeros((0, len(poses), 7))
         gap = np.zeros(0)

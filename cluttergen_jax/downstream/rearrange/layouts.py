@@ -256,7 +256,7 @@ class ReachCheck:
 
     Args:
       objects: N; grasps: of each. moved: the numbers of the objects that count. support: the table.
-      max_lever: metres, of the grasps that count (`grips.Grip`). robot: the Panda if not given.
+      max_lever: metres, of the grasps that count (`grips.Grip`).
     """
 
     def __init__(
@@ -265,8 +265,8 @@ class ReachCheck:
         grasps: Sequence[Grasps],
         moved: Sequence[int],
         support: SupportAsset,
+        robot: RobotDescription,
         max_lever: float = np.inf,
-        robot: RobotDescription | None = None,
     ) -> None:
         self._grasps = grasps
         self._max_lever = max_lever
@@ -275,7 +275,7 @@ class ReachCheck:
         names = list(map(str, range(len(objects))))
         nowhere = np.tile(np.eye(7)[3], (len(objects), 1))
         self._worlds = {
-            k: PlanningWorld(names, objects, nowhere, k, support, base, robot=robot) for k in moved
+            k: PlanningWorld(names, objects, nowhere, k, support, base, robot) for k in moved
         }
         for world in self._worlds.values():
             world.room = HAND_ROOM

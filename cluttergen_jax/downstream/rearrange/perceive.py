@@ -16,6 +16,7 @@ from cluttergen_jax.downstream.robot import (
     RobotDescription,
     above,
     base_pose,
+    find_robot,
     wrist_camera,
 )
 from cluttergen_jax.errors import ConfigError
@@ -71,7 +72,7 @@ class PerceptionObserver:
         self._support = support
         self._noise = noise
         self._seed = seed
-        self._silhouette = ArmSilhouette(base_pose(support, robot), robot=robot)
+        self._silhouette = ArmSilhouette(base_pose(support, robot), find_robot(robot))
         self._glances: list[View] = []
         self._num_before = 0
         self.weights = weights

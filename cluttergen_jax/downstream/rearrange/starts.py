@@ -299,7 +299,7 @@ class Starts:
       setting: the setting. pool: a pool's name.
       num_threads: of the simulation and the tests of grasps; 0 takes every core.
       own_grasps, planner, own: a user's.
-      robot: the Panda if not given.
+      robot: that does it.
 
     Raises:
       ConfigError: goals that are not understood, that are for another support, or of unknown objects.
@@ -311,10 +311,10 @@ class Starts:
         setting: RearrangeSetting,
         pool: str,
         num_threads: int,
-        own_grasps: GraspSource | GraspSets | None = None,
-        planner: PathPlanner | None = None,
-        own: OwnScenes | None = None,
-        robot: RobotDescription | None = None,
+        own_grasps: GraspSource | GraspSets | None,
+        planner: PathPlanner | None,
+        own: OwnScenes | None,
+        robot: RobotDescription,
     ) -> None:
         self._robot = robot
         self._pool = pool
@@ -537,17 +537,17 @@ def _draw_seed(rng: np.random.Generator) -> int:
 
 
 def is_stacked(
-    scene: Scene, grasps: Sequence[Grasps], number: int, robot: RobotDescription | None = None
+    scene: Scene, grasps: Sequence[Grasps], number: int, robot: RobotDescription
 ) -> bool:
     """Whether so many objects lie on others, and the arm gets at those of them on which nothing lies.
 
     A ring that fell over what it lies on is an example of what no hand can take.
 
     Args:
-      grasps: of each object of the scene. robot: the Panda if not given.
+      grasps: of each object of the scene.
     """
     lies_on = Meetings(scene.objects).relations(scene.poses, scene.poses).lies_on
     top = np.flatnonzero(lies_on.any(1) & ~lies_on.any(0)).tolist()
     if lies_on.any(1).sum() < number:
         return False
-    return ReachCheck(scene.objects, grasps, top, scene.support, robot=robot)(scene.poses) == 1
+    return ReachCheck(scene.objects, grasps, top, scene.support, robot)(scene.poses) == 1

@@ -202,9 +202,10 @@ class EpisodeWorld(Referee):
         robot: RobotDescription | None = None,
     ) -> None:
         super().__init__(scene, target, stands, trace, robot)
+        robot = self.execution.robot
         base = base_pose(scene.support, robot)
         known = (scene.names, scene.objects, scene.poses)
-        planning = PlanningWorld(*known, target, scene.support, base, stands, robot=robot)
+        planning = PlanningWorld(*known, target, scene.support, base, robot, stands)
         self.mover = Mover(
             self.execution, planning, ArmKinematics(base, robot), target, seed, planner=planner
         )

@@ -13,7 +13,6 @@ from cluttergen_jax.downstream.robot.description import (
     GripperTable,
     RobotDescription,
     compile_model,
-    find_robot,
 )
 from cluttergen_jax.downstream.robot.model import hand_spec
 from cluttergen_jax.downstream.transforms import matrix_of
@@ -90,13 +89,12 @@ class Gripper:
 
 
 @cache
-def gripper_of(robot: RobotDescription | None = None) -> Gripper:
-    """The gripper of a robot, the Panda's if not given.
+def gripper_of(robot: RobotDescription) -> Gripper:
+    """The gripper of a robot.
 
     Raises:
       ConfigError: it does not open and close as its description says.
     """
-    robot = robot or find_robot()
     given = robot.gripper
     model = compile_model(hand_spec(ContactConfig(), robot), robot.name)
     driven = np.array([model.joint(name).id for name in given.joints])

@@ -9,7 +9,7 @@ from scipy.ndimage import binary_dilation
 from cluttergen_jax.assets import VISUAL_GROUP, Box, ObjectAsset, SupportAsset, add_part
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.cameras import wrist_camera
-from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
+from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.robot.model import Robot, arm_spec, attach_robot, base_pose
@@ -34,17 +34,16 @@ class ArmSilhouette:
     """Says which pixels of a picture the arm and one object cover.
 
     Args:
-      base: f64[7], T_world_base. asset: the object that it brings; None leaves only the arm out.
-      robot: that stands at `base`; the Panda if not given.
+      base: f64[7], T_world_base, of the `robot`.
+      asset: the object that it brings; None leaves only the arm out.
     """
 
     def __init__(
         self,
         base: np.ndarray,
+        robot: RobotDescription,
         asset: ObjectAsset | None = None,
-        robot: RobotDescription | None = None,
     ) -> None:
-        robot = robot or find_robot()
         spec = attach_robot(mujoco.MjSpec(), arm_spec(ContactConfig(), robot), robot, base)
         brought = spec.worldbody.add_body(name=_BROUGHT)
         for index, part in enumerate(() if asset is None else asset.parts):
@@ -152,7 +151,7 @@ class SensingArm:
         self._seed = seed
         self._rng = np.random.default_rng((seed, 1))
         self._base = base_pose(support, execution.robot)
-        self._silhouette = ArmSilhouette(self._base, asset, execution.robot)
+        self._silhouette = ArmSilhouette(self._base, execution.robot, asset)
         self._object = HeldPose(execution, start)
         self._planner = planner
         self._views: list[DepthView] = []
@@ -231,9 +230,9 @@ class SensingArm:
             0,
             self._support,
             self._base,
+            self._execution.robot,
             (self._stand,),
             self._placer.columns(self._views),
-            self._execution.robot,
         )
 
     def _propose(self, last: np.ndarray | None = None) -> np.ndarray:

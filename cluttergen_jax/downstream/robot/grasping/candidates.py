@@ -210,14 +210,14 @@ _LEAST_WIDTH = 0.001
 _SHALLOW = (0.0, 0.005)
 """Metres by which a grasp's points may lie nearer to the finger's tips than the middle of the pads."""
 _INSIDE = 5e-4
-_STEEPEST_UP = 0.1
+STEEPEST_UP = 0.1
 _DOWN = np.array([0.0, 0.0, -1.0])
-_CLEARANCE = 0.0015
+CLEARANCE = 0.0015
 """Metres between the hand and the object; the arm is where it should be to a millimetre."""
 _PLANE = "plane"
 _GROUND_GAP = 0.001
 _GROUND_HALF = (0.5, 0.5, 0.05)
-_BACK = (0.0, 0.03, 0.06, 0.1)
+BACK = (0.0, 0.03, 0.06, 0.1)
 """Metres before the grasp at which the hand must be clear of the object too."""
 
 
@@ -313,7 +313,7 @@ def draw_approaches(
     is_deep = (depth >= np.minimum(MIN_COVER, 0.75 * (ahead + behind))) & (
         cover >= np.minimum(MIN_COVER, 0.75 * (left + right))
     )
-    keep = is_deep & (approach @ down >= -_STEEPEST_UP)
+    keep = is_deep & (approach @ down >= -STEEPEST_UP)
     turn = np.stack([across, axis, approach], axis=-1)
     # The pads are where the tool's origin is, but for what they move along the approach as they close.
     back = shallow + gripper.depth_of(width)
@@ -344,7 +344,7 @@ class HandCheck:
         spec = hand_spec(ContactConfig(), robot)
         self._gripper = gripper_of(robot)
         for geom in spec.geoms:
-            geom.margin = _CLEARANCE
+            geom.margin = CLEARANCE
         body = add_object(spec, asset, OBJECT)
         below = -asset.half_extents[2] - _GROUND_GAP - _GROUND_HALF[2]
         body.add_geom(
@@ -361,10 +361,10 @@ class HandCheck:
 
         Nor before, where it comes straight.
         """
-        opening = self._gripper.opening_of(np.array(width))
+        opening = self._gripper.opening_of(width)
         of_plane = True
         self._data.qpos[: self._start] = self._gripper.joints_of(opening)
-        for back in _BACK:
+        for back in BACK:
             of_object, is_clear = self._look(pose, back)
             if not of_object:
                 return False, False

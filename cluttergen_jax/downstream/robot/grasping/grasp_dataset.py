@@ -23,7 +23,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cluttergen_jax.assets import Mesh, ObjectAsset, mesh_text
+from cluttergen_jax.assets import Mesh, ObjectAsset, join_meshes, mesh_text
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping import vgn
 from cluttergen_jax.downstream.robot.grasping.clutter import (
@@ -370,7 +370,6 @@ def _mesh_name(name: str) -> str:
 
 def _surface_of(asset: ObjectAsset) -> Mesh:
     """What is seen of an object as one mesh; its parts where it has no surface."""
-    meshes = [piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts]
-    first = np.cumsum([0, *(len(each.vertices) for each in meshes)])
-    faces = [each.faces + start for each, start in zip(meshes, first, strict=False)]
-    return Mesh(np.concatenate([each.vertices for each in meshes]), np.concatenate(faces))
+    return join_meshes(
+        [piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts]
+    )

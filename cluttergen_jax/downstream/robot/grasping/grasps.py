@@ -109,15 +109,14 @@ class Grasps:
 
 
 def make_grasps(
-    asset: ObjectAsset, number: int, seed: int, pool: Rollout, robot: RobotDescription | None = None
+    asset: ObjectAsset, number: int, seed: int, pool: Rollout, robot: RobotDescription
 ) -> Grasps:
     """Draws candidates for an object and tests them until `number` hold; of those the low ones come first.
 
     Args:
       pool: MuJoCo's threads; their number changes nothing.
-      robot: whose hand it is; the Panda's if not given.
+      robot: whose hand it is.
     """
-    robot = robot or find_robot()
     content = object_hash(asset)
     # An object's own numbers, whatever pool it is in.
     rng = np.random.default_rng([seed, int(content[:12], 16)])
@@ -162,7 +161,7 @@ def verify_grasps(
     asset: ObjectAsset,
     candidates: GraspCandidates,
     pool: Rollout,
-    robot: RobotDescription | None = None,
+    robot: RobotDescription,
 ) -> GraspCheck:
     """`check_grasps`, passed where the hand also holds the object 2 mm short of the grasp."""
     test = check_grasps(asset, candidates, pool, robot=robot)
@@ -363,7 +362,7 @@ def grasp_sets(
     seed: int,
     num_threads: int,
     fresh: bool,
-    robot: RobotDescription | None = None,
+    robot: RobotDescription,
 ) -> GraspSets:
     """The grasps of objects (`grasps.grasps_of`); 0 threads are as many as there are cores."""
     threads = num_threads or os.cpu_count() or 1

@@ -18,7 +18,7 @@ from cluttergen_jax.assets import (
     populated_spec,
 )
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
+from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.robot.model import Robot, arm_spec, attach_robot, remove_drawings
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
@@ -202,10 +202,9 @@ class PlanningWorld:
     Args:
       names, objects: N of the scene; poses: f64[N, 7], T_world_object.
       target: the number of the object that is to be moved.
-      base: f64[7], T_world_base.
+      base: f64[7], T_world_base, of the `robot`.
       stands: more boxes that objects can stand on.
       columns: boxes in place of objects of which no more is known than what was seen, and where it may hide.
-      robot: that stands at `base`; the Panda if not given.
 
     Attributes:
       room: metres that the hand and what it holds keep besides from objects, `ROOM` at most.
@@ -220,11 +219,10 @@ class PlanningWorld:
         target: int,
         support: SupportAsset,
         base: np.ndarray,
+        robot: RobotDescription,
         stands: Sequence[Box] = (),
         columns: OccupancyBoxes | None = None,
-        robot: RobotDescription | None = None,
     ) -> None:
-        robot = robot or find_robot()
         contact = ContactConfig()
         spec = populated_spec(
             names, objects, support, StabilityConfig().timestep, contact, poses=poses
