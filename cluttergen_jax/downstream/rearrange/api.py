@@ -14,7 +14,8 @@ from cluttergen_jax.downstream.words import (
     Rearrangement,
     RecordFormat,
     RobotObserver,
-    check_noise,
+    check_choice,
+    check_factor,
 )
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
@@ -167,8 +168,7 @@ def rearrange(
         ("observer", observer if isinstance(observer, str) else "true", RobotObserver),
     )
     for name, value, known in asked:
-        if value not in get_args(known):
-            raise ConfigError(f"{name} = {value!r}", ", ".join(get_args(known)))
+        check_choice(name, value, known)
     if segmenter is not None and observer != "perception":
         raise ConfigError(
             f"`segmenter` with observer = {observer!r}", "observer='perception'", "leaving it out"
@@ -188,7 +188,7 @@ def rearrange(
                 f"`{what}` where nothing looks", "observer='perception'", "leaving it out"
             )
     if noise is not None:
-        check_noise([noise])
+        check_factor(noise)
     described = find_robot(robot)
     found, told, usual = _own_scenes(bank, pool, support, target, str(goals), setting)
     recorded = RecordAsked.of(record, record_format, record_cameras)

@@ -46,6 +46,7 @@ from cluttergen_jax.downstream.robot import (
     Trace,
     base_pose,
     first_grasp,
+    run_to_end,
 )
 from cluttergen_jax.downstream.transforms import equal_places, matrix_of, offset
 from cluttergen_jax.scene import Scene
@@ -501,14 +502,12 @@ def rearrange_episode(
     begun = time.process_time()
     num_moved = task.setting.num_objects
     with _open_episode(task, options, observer, trace, ask) as (worker, execution, judge, sight):
-        outcome = str(Outcome.SUCCESS)
-        detail = ""
-        try:
+
+        def run() -> None:
             worker.run()
             judge.check_end(worker.goals)
-        except Failed as failure:
-            outcome = str(failure.outcome)
-            detail = failure.detail
+
+        outcome, detail = run_to_end(run)
     # Where no layout was chosen nothing is where it should be.
     right = judge.is_right(worker.goals) & (worker.layout >= 0)
     errors = judge.errors(worker.goals)[right]

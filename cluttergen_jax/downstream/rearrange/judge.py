@@ -8,7 +8,7 @@ import numpy as np
 
 from cluttergen_jax.config import StabilityConfig, VerifyConfig
 from cluttergen_jax.downstream.rearrange.observe import Cause
-from cluttergen_jax.downstream.robot import WATCHED, Execution, Failed, Outcome, Phase
+from cluttergen_jax.downstream.robot import WATCHED, Execution, Failed, Outcome, Phase, told_motion
 from cluttergen_jax.downstream.transforms import matrix_of, offset
 from cluttergen_jax.physics import check_standing, displacement, has_moved, watch
 from cluttergen_jax.scene import Scene
@@ -83,8 +83,7 @@ class RearrangementJudge:
         if not right.all():
             worst = int(right.argmin())
             shift, turn = self.errors(goals)[worst]
-            told = f"{names[worst]}: {1e3 * shift:.0f} mm, {np.degrees(turn):.0f} deg"
-            raise Failed(Cause.MISPLACED, told)
+            raise Failed(Cause.MISPLACED, f"{names[worst]}: {told_motion(shift, turn)}")
         others = slice(self._num_moved, None)
         far = _has_moved(self._execution.poses()[others], self._scene.poses[others])
         if far.any():

@@ -17,7 +17,15 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
     from cluttergen_jax.downstream.robot.motion.mover import Mover
     from cluttergen_jax.downstream.robot.motion.plan import PickPlan
-    from cluttergen_jax.downstream.robot.outcome import Ending, Endings, Failed, Outcome, success_of
+    from cluttergen_jax.downstream.robot.outcome import (
+        Ending,
+        Endings,
+        Failed,
+        Outcome,
+        run_to_end,
+        success_of,
+        told_motion,
+    )
     from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
     from cluttergen_jax.downstream.robot.recorder import RecordAsked, open_recorder
     from cluttergen_jax.downstream.robot.sensing_arm import ArmSilhouette
@@ -44,7 +52,15 @@ __getattr__, __all__ = offer(
         "motion.ik": ("ArmKinematics",),
         "motion.mover": ("Mover",),
         "motion.plan": ("PickPlan",),
-        "outcome": ("Ending", "Endings", "Failed", "Outcome", "success_of"),
+        "outcome": (
+            "Ending",
+            "Endings",
+            "Failed",
+            "Outcome",
+            "run_to_end",
+            "success_of",
+            "told_motion",
+        ),
         "protocols": ("GraspSource", "PathPlanner"),
         "recorder": ("RecordAsked", "open_recorder"),
         "sensing_arm": ("ArmSilhouette",),

@@ -18,7 +18,7 @@ from cluttergen_jax.downstream.robot.motion.collision import PlanningWorld
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase, Trace
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.motion.mover import LIFT, MAX_SLIP, MAX_TURN, Mover
-from cluttergen_jax.downstream.robot.outcome import Ending, Failed, Outcome
+from cluttergen_jax.downstream.robot.outcome import Ending, Failed, Outcome, run_to_end, told_motion
 from cluttergen_jax.downstream.robot.places import CameraPlacer
 from cluttergen_jax.downstream.robot.protocols import PathPlanner
 from cluttergen_jax.downstream.robot.sensing_arm import SensingArm
@@ -152,7 +152,7 @@ class Referee:
             self.execution.wait(0.1, Phase.FREE)
             shift, turn = motion_between(self.execution.poses()[self.target], start)
             if has_moved(shift, turn, limits):
-                raise Failed(Outcome.UNSTABLE, f"{1e3 * shift:.0f} mm, {np.degrees(turn):.0f} deg")
+                raise Failed(Outcome.UNSTABLE, told_motion(shift, turn))
             self.check_others()
 
     def check_region(self) -> None:
@@ -182,7 +182,7 @@ class Referee:
         shift, turn, height = self.errors(place)
         shift = float(np.hypot(shift, height))
         if shift > MAX_SLIP or turn > MAX_TURN:
-            raise Failed(outcome, f"{1e3 * shift:.0f} mm, {np.degrees(turn):.0f} deg")
+            raise Failed(outcome, told_motion(shift, turn))
 
 
 class EpisodeWorld(Referee):
@@ -324,13 +324,7 @@ def set_on_stand(scene: Scene, target: int, seed: int) -> tuple[Scene, Box]:
 
 def _run_episode(world: Referee, run: Callable[[], None]) -> EpisodeResult:
     begun = time.process_time()
-    try:
-        run()
-        outcome = str(Outcome.SUCCESS)
-        detail = ""
-    except Failed as failure:
-        outcome = str(failure.outcome)
-        detail = failure.detail
+    outcome, detail = run_to_end(run)
     world.moved_others()
     put = world.put
     error, turn_error, z_error = (float("nan"),) * 3 if put is None else world.errors(put.place)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
@@ -67,6 +68,20 @@ class EpisodeRow(Protocol):
     def is_success(self) -> bool: ...
     @property
     def seconds(self) -> float: ...
+
+
+def run_to_end(run: Callable[[], None]) -> tuple[str, str]:
+    """Runs an episode: its outcome, and of what (`Ending`)."""
+    try:
+        run()
+    except Failed as failure:
+        return str(failure.outcome), failure.detail
+    return str(Outcome.SUCCESS), ""
+
+
+def told_motion(shift: float, turn: float) -> str:
+    """Metres and radians in words."""
+    return f"{1e3 * shift:.0f} mm, {math.degrees(turn):.0f} deg"
 
 
 def ending_of(row: EpisodeRow) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -18,8 +18,8 @@ from cluttergen_jax.downstream.robot.model import TIMESTEP
 from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.outcome import EpisodeRow, check_repeated
 from cluttergen_jax.downstream.robot.recording import FPS, EpisodeRecording, RecordCameras
-from cluttergen_jax.downstream.words import RecordFormat
-from cluttergen_jax.errors import BankError, ConfigError, MissingExtraError
+from cluttergen_jax.downstream.words import RecordFormat, check_choice
+from cluttergen_jax.errors import BankError, MissingExtraError
 from cluttergen_jax.files import check_folder, file_whole, write_atomically
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.rendering import find_backend, find_ffmpeg, save_film
@@ -472,8 +472,7 @@ class RecordAsked:
         folder: str | Path | None, form: RecordFormat, cameras: Sequence[str | Path]
     ) -> RecordAsked | None:
         """None where no folder is given."""
-        if form not in get_args(RecordFormat):
-            raise ConfigError(f"record_format = {form!r}", ", ".join(get_args(RecordFormat)))
+        check_choice("record_format", form, RecordFormat)
         asked = RecordCameras.of(cameras)
         if folder is None:
             return None
