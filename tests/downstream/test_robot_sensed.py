@@ -12,7 +12,7 @@ from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.downstream.placer.proposers import find_placer
 from cluttergen_jax.downstream.robot import find_robot
 from cluttergen_jax.downstream.robot.cameras import above, wrist_camera
-from cluttergen_jax.downstream.robot.episode import Referee, sensing_place_episode
+from cluttergen_jax.downstream.robot.episode import Referee, robot_episode
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.motion import collision, execute
@@ -205,7 +205,7 @@ def withheld(monkeypatch):
 
 
 def test_a_box_is_placed_by_what_cameras_see_alone(scene, placer, grasps, withheld):
-    result = sensing_place_episode(scene, 2, grasps, placer, seed=1)
+    result = robot_episode(scene, 2, grasps, 1, placer)
     assert result.outcome == Outcome.SUCCESS, result
     assert result.placer == "geometry"
     assert result.looks == 3

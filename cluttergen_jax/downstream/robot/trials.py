@@ -17,12 +17,7 @@ from cluttergen_jax.config import FilmFormat
 from cluttergen_jax.downstream.digests import constants_hash
 from cluttergen_jax.downstream.robot import cameras, episode, gripper, model, sensing_arm
 from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
-from cluttergen_jax.downstream.robot.episode import (
-    EpisodeResult,
-    lift_episode,
-    place_episode,
-    sensing_place_episode,
-)
+from cluttergen_jax.downstream.robot.episode import EpisodeResult, robot_episode
 from cluttergen_jax.downstream.robot.film import FILMS, Films
 from cluttergen_jax.downstream.robot.grasping import grips
 from cluttergen_jax.downstream.robot.grasping.grasps import GraspFinder, Grasps, GraspSets
@@ -266,14 +261,12 @@ def _episode(
     planner: PathPlanner | None,
     robot: RobotDescription,
 ) -> EpisodeResult:
-    target = len(scene.names) - 1
+    found: np.ndarray | CameraPlacer | None = None
+    if task == "place":
+        found = places if isinstance(places, CameraPlacer) else places(index, scene)
     own = episode_seed(seed, index)
-    if task == "lift":
-        return lift_episode(scene, target, grasps, own, trace, planner, robot)
-    if isinstance(places, CameraPlacer):
-        return sensing_place_episode(scene, target, grasps, places, own, trace, planner, robot)
-    row = place_episode(scene, target, grasps, places(index, scene), own, trace, planner, robot)
-    return replace(row, placer=getattr(places, "name", row.placer))
+    row = robot_episode(scene, len(scene.names) - 1, grasps, own, found, trace, planner, robot)
+    return row if found is None else replace(row, placer=getattr(places, "name", row.placer))
 
 
 def episode_seed(seed: int, index: int) -> int:
