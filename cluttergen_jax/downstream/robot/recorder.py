@@ -401,6 +401,7 @@ class RobomimicFolder(RecordFolder):
         super().finish()
 
 
+@dataclass(eq=False)
 class EpisodeRecorder:
     """Records every episode once, as it is run, and those of which there are only rows by running them again.
 
@@ -409,13 +410,10 @@ class EpisodeRecorder:
       seed: of cameras that are drawn. task: what an episode was to do, of its row.
     """
 
-    def __init__(
-        self, folder: RecordFolder, cameras: RecordCameras, seed: int, task: Callable[[Any], str]
-    ) -> None:
-        self._folder = folder
-        self._cameras = cameras
-        self._seed = seed
-        self._task = task
+    folder: RecordFolder
+    cameras: RecordCameras
+    seed: int
+    task: Callable[[Any], str]
 
     def run(
         self, number: int, run: Callable[[int, Trace], Row], known: EpisodeRow | None = None
@@ -433,16 +431,16 @@ class EpisodeRecorder:
         if known is not None:
             check_repeated(number, known, row)
         # A command that was killed between the recording and the row has it already.
-        if trace.states and number not in self._folder.numbers():
-            cameras = self._cameras.place(trace.scene.support, (self._seed, number))
-            self._folder.add(
-                EpisodeRecording(number, self._task(row), row.is_success, trace, cameras)
+        if trace.states and number not in self.folder.numbers():
+            cameras = self.cameras.place(trace.scene.support, (self.seed, number))
+            self.folder.add(
+                EpisodeRecording(number, self.task(row), row.is_success, trace, cameras)
             )
         return row
 
     def complete(self, rows: Sequence[Row], run: Callable[[int, Trace], Row]) -> None:
         """Records the episodes that were run before and have frames, unless they are recorded (`run`)."""
-        known = set(self._folder.numbers())
+        known = set(self.folder.numbers())
         missing = [k for k, row in enumerate(rows) if k not in known and row.seconds > 0]
         with Progress("recording", len(missing), "episode") as progress:
             for number in missing:
@@ -451,7 +449,7 @@ class EpisodeRecorder:
 
     def finish(self) -> None:
         """Writes what is told of all episodes."""
-        self._folder.finish()
+        self.folder.finish()
 
 
 @dataclass(frozen=True)
