@@ -6,7 +6,7 @@ from cluttergen_jax.lazy import offer
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets.facts import ObjectFacts
-    from cluttergen_jax.assets.mesh import Mesh
+    from cluttergen_jax.assets.mesh import Mesh, join_meshes
     from cluttergen_jax.assets.mjcf import VISUAL_GROUP, add_object, add_part, populated_spec
     from cluttergen_jax.assets.obj import mesh_text
     from cluttergen_jax.assets.object import ObjectAsset
@@ -20,7 +20,7 @@ __getattr__, __all__ = offer(
     __name__,
     {
         "facts": ("ObjectFacts",),
-        "mesh": ("Mesh",),
+        "mesh": ("Mesh", "join_meshes"),
         "mjcf": ("VISUAL_GROUP", "add_object", "add_part", "populated_spec"),
         "obj": ("mesh_text",),
         "object": ("ObjectAsset",),

@@ -9,34 +9,28 @@ A block is written as a whole or not at all. Record and blocks carry checksums (
 
 from __future__ import annotations
 
-import io
 import json
 import shutil
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from cluttergen_jax.errors import BankError, ConfigError, closest, range_text
 from cluttergen_jax.files import folder_whole, remove_partial, write_atomically, writing
-from cluttergen_jax.kept_folder import KeptFolder, hold
+from cluttergen_jax.kept_folder import check_recipe
 from cluttergen_jax.scene import Bank
 from cluttergen_jax.schema import (
-    SEAL,
     SchemaError,
-    check_seal,
-    checked_record,
     convert,
-    with_checksum,
-    with_seal,
+    read_sealed_parquet,
+    sealed_parquet,
 )
+from cluttergen_jax.stores import BlockStore
 
-FORMAT = 1
 SPLITS = {"train": 0, "val": 1_000_000, "test": 2_000_000}
 """The first seed of each split, of its banks and of all else that is drawn for it: nothing is drawn twice."""
 
@@ -62,9 +56,10 @@ class SampleFormat:
     check_rows: Callable[[pa.Table], None]
 
     @property
-    def index(self) -> str:
-        """The file's name of the record."""
-        return f"{self.kind}.json"
+    def store(self) -> BlockStore:
+        """Folders of this kind, in which banks that are made along may lie already."""
+        begun = ("assets", *(f"bank-{split}" for split in SPLITS))
+        return BlockStore(self.kind, f"{self.kind}.json", self.kind, self.command, begun)
 
     @property
     def again(self) -> str:
@@ -76,50 +71,16 @@ class SampleFormat:
         """The record's name for how many rows a split has."""
         return f"num_{self.kind}"
 
-    def kept_folder(self, path: Path) -> KeptFolder:
-        """A folder of this kind, in which banks that are made along may lie already."""
-        begun = ("assets", *(f"bank-{split}" for split in SPLITS))
-        return KeptFolder(
-            path,
-            is_whole=lambda folder: (folder / self.index).exists(),
-            refusal=f"{{path}} exists and holds no {self.kind}",
-            is_begun=lambda each: each.name.startswith(begun),
-        )
-
-    def hold(self, path: Path) -> AbstractContextManager[None]:
-        """Holds a folder in the block, which is made if need be; `write` is called there.
-
-        Raises:
-          BankError: it holds something else, or another process writes there.
-        """
-        return hold(self.kept_folder(path).lock())
-
     def read_record(self, path: Path) -> dict[str, Any]:
         """The record of a folder. Raises BankError: there is none, or it is damaged."""
-        file = path / self.index
+        record = self.store.read_record(path)
         try:
-            data = file.read_bytes()
-        except (FileNotFoundError, NotADirectoryError) as error:
-            raise BankError(
-                f"{path} holds no {self.kind}: it has no {self.index}",
-                f"a folder that `{self.command}` made",
-            ) from error
-        except OSError as error:
-            raise BankError(f"{file} cannot be read ({error})", hint=self.again) from error
-        try:
-            record = checked_record(data)
-            if (record.get("kind"), record.get("format")) != (self.kind, FORMAT):
-                raise SchemaError(f"not the record of {self.kind} of format {FORMAT}")
             convert(record, self.record)
         except SchemaError as error:
-            hint = f"a fresh copy of the folder, or `{self.command}` into another"
-            raise BankError(f"{file} cannot be read ({error})", hint=hint) from error
+            raise BankError(
+                f"{path / self.store.index} cannot be read ({error})", hint=self.again
+            ) from error
         return record
-
-    def write_record(self, path: Path, record: dict[str, Any]) -> None:
-        """Stores it."""
-        text = json.dumps(with_checksum(record), indent=1) + "\n"
-        write_atomically(path / self.index, text.encode(), is_durable=True)
 
     def with_split(
         self,
@@ -139,8 +100,8 @@ class SampleFormat:
           BankError: the folder holds something else, or that split made otherwise.
         """
         made = json.loads(json.dumps(made))
-        record: dict[str, Any] = {"format": FORMAT, "kind": self.kind, **shared, "splits": {}}
-        if (path / self.index).exists():
+        record: dict[str, Any] = {**shared, "splits": {}}
+        if (path / self.store.index).exists():
             record = self.read_record(path)
         if any(record.get(name) != value for name, value in shared.items()):
             raise BankError(
@@ -154,13 +115,9 @@ class SampleFormat:
             for file in path.glob(f"{split}-*.parquet"):
                 file.unlink()
         if known is not None:
-            changed = sorted(name for name in made if known.get(name) != made[name])
-            if changed:
-                raise BankError(
-                    f"{path} holds {self.kind} of {split!r} made with another {', '.join(changed)}",
-                    "the same settings and the same scenes, which continue it",
-                    "another `out`, or `overwrite` to begin that split anew",
-                )
+            theirs = {name: known.get(name) for name in made}
+            hint = "another `out`, or `overwrite` to begin that split anew"
+            check_recipe(path, f"{self.kind} of {split!r} made", made, theirs, hint)
             number = max(number, known[self.number])
         record["splits"][split] = {self.number: number, **made}
         return record
@@ -186,13 +143,13 @@ class SampleFormat:
         Raises:
           BankError: see `hold` and `with_split`, or another process writes there.
         """
-        with self.kept_folder(path).lock(), writing(path):
+        with self.store.hold(path), writing(path):
             remove_partial(path)
             record = self.with_split(path, shared, split, made, number, overwrite)
             if not (path / "assets").is_dir():
                 with folder_whole(path / "assets", is_only_writer=True) as fresh:
                     shutil.copytree(bank.path / "assets", fresh)
-            self.write_record(path, record)
+            self.store.write_record(path, record)
             # More than were asked for, where an earlier call that was interrupted asked for more.
             sizes = self.sizes(record["splits"][split][self.number])
             kept = {
@@ -228,15 +185,7 @@ class SampleFormat:
         """
         file = self.block_path(path, split, block)
         try:
-            data = file.read_bytes()
-            check_seal(data)
-            table = pq.read_table(
-                pa.BufferReader(data),
-                schema=self.schema,
-                page_checksum_verification=True,
-                partitioning=None,
-            )
-            table.validate(full=True)
+            table = read_sealed_parquet(file.read_bytes(), self.schema)
             first = block * self.block_size
             numbers = np.arange(first, first + table.num_rows)
             if table.num_rows < num_rows or not np.array_equal(table[self.column], numbers):
@@ -251,15 +200,8 @@ class SampleFormat:
 
     def write_block(self, path: Path, split: str, block: int, table: pa.Table) -> None:
         """Stores a block."""
-        buffer = io.BytesIO()
-        with pq.ParquetWriter(
-            buffer, table.schema, compression="zstd", write_page_checksum=True
-        ) as writer:
-            writer.write_table(table)
-            writer.add_key_value_metadata(SEAL)
-        write_atomically(
-            self.block_path(path, split, block), with_seal(buffer.getvalue()), is_durable=True
-        )
+        file = self.block_path(path, split, block)
+        write_atomically(file, sealed_parquet(table, compression="zstd"), is_durable=True)
 
 
 @dataclass(frozen=True, eq=False)

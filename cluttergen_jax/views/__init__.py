@@ -7,7 +7,6 @@ from cluttergen_jax.lazy import offer
 if TYPE_CHECKING:
     from cluttergen_jax.views.images import TENTH_OF_A_MILLIMETRE, depth_levels, depth_of, png_of
     from cluttergen_jax.views.maker import ViewMaker
-    from cluttergen_jax.views.shards import begin_record, dataset_folder
     from cluttergen_jax.views.view import View
 
 __getattr__, __all__ = offer(
@@ -15,7 +14,6 @@ __getattr__, __all__ = offer(
     {
         "images": ("TENTH_OF_A_MILLIMETRE", "depth_levels", "depth_of", "png_of"),
         "maker": ("ViewMaker",),
-        "shards": ("begin_record", "dataset_folder"),
         "view": ("View",),
     },
 )

@@ -19,7 +19,6 @@ from cluttergen_jax.cluster import Cluster, each_on
 from cluttergen_jax.config import DatasetForm, Variation
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import remove_partial, write_atomically, writing
-from cluttergen_jax.kept_folder import hold
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.rendering.config import QUALITIES, Quality
@@ -34,14 +33,12 @@ from cluttergen_jax.views.bop import BopConfig, BopScenes
 from cluttergen_jax.views.maker import ViewMaker
 from cluttergen_jax.views.shards import (
     SCENES_PER_SHARD,
+    VIEWS,
     ShardForm,
-    begin_record,
-    dataset_folder,
     encode_rows,
     is_whole_shard,
     row_of,
     shard_name,
-    write_record,
 )
 from cluttergen_jax.views.view import SeenScene
 
@@ -355,9 +352,9 @@ def make(
 ) -> ViewDataset:
     """A dataset in a folder, begun or continued; see `cluttergen_jax.make_dataset`."""
     recipe = DatasetPlan.of(banks, shares, num_scenes, config).recipe() | {"form": form}
-    with hold(dataset_folder(out).lock()), writing(out):
+    with VIEWS.hold(out), writing(out):
         remove_partial(out)
-        known = begin_record(out, recipe)
+        known = VIEWS.begin(out, recipe)
         there = known.get("num_scenes", ())
         rounds = known.get("rounds", ())
         plan = DatasetPlan.of(banks, shares, num_scenes, config, there, rounds)
@@ -369,12 +366,12 @@ def make(
         record["rounds"] = list(plan.rounds)
         # Before the first file: another call shares its scenes out as this one does.
         digests = known.get("shards", {})
-        write_record(out, record if form == "bop" else record | {"shards": digests})
+        VIEWS.write_record(out, record if form == "bop" else record | {"shards": digests})
         if form == "bop":
             _make_bop(plan, out)
         else:
             shards = _make_shards(plan, out, form, cluster, digests)
-            write_record(out, record | {"shards": shards})
+            VIEWS.write_record(out, record | {"shards": shards})
     return ViewDataset(out, form, plan.num_views())
 
 

@@ -97,7 +97,7 @@ def perception_data(
     if num_objects is not None:
         check_range("num_objects", num_objects, 1, most, min(8, most))
     num_scenes = -(-num_views // (VIEWS_A_SCENE * len(_METHODS)))
-    with VIEWS.hold(Path(out)):
+    with VIEWS.store.hold(Path(out)):
         if overwrite or not any(Path(out).glob(f"bank-{split}-*")):
             # Scenes take minutes, and are of no use where nothing can draw them.
             find_backend()

@@ -27,12 +27,13 @@ from cluttergen_jax.downstream.perception.segmenter import (
     segmenter_folder,
 )
 from cluttergen_jax.downstream.perception.types import Segmentation, Segmenter
-from cluttergen_jax.downstream.rows import RowFile, share_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation import versions
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.schema import with_checksum
 from cluttergen_jax.sensing import Camera
+from cluttergen_jax.statistics import share_of
+from cluttergen_jax.stores import RowStore
 from cluttergen_jax.tables import aligned_table
 from studies.perception.scoring import (
     GOOD_ADDS,
@@ -245,12 +246,8 @@ def evaluate_perception(
             # Another network, or another rule of certainty, has rows of its own.
             digest = json_digest(setting, 8)
             name = f"{split}-{number}-cameras-noise-{factor:g}-{digest}.jsonl"
-            file = RowFile(
-                None if out is None else out / name,
-                setting,
-                JudgedMoment,
-                "python -m studies.perception eval",
-            )
+            path = None if out is None else out / name
+            file = RowStore(path, setting, JudgedMoment, "python -m studies.perception eval")
             moments = _judge_all(
                 views, split, number, factor, num_views, seed, finder, file, true_masks
             )
@@ -269,7 +266,7 @@ def _judge_all(
     num_views: int | None,
     seed: int,
     finder: SceneFinder,
-    file: RowFile[JudgedMoment],
+    file: RowStore[JudgedMoment],
     true_masks: bool,
 ) -> list[JudgedMoment]:
     total = (num_views or int(views.split(split)["num_views"])) // cameras

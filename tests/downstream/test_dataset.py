@@ -21,7 +21,7 @@ from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.rays import InstanceSensor
 from cluttergen_jax.views import dataset as plans
 from cluttergen_jax.views.dataset import ViewConfig
-from cluttergen_jax.views.shards import INDEX, write_record
+from cluttergen_jax.views.shards import VIEWS
 from tests.helpers.drawing import needs_gl
 from tests.helpers.placing import write_bank
 
@@ -108,7 +108,7 @@ def test_what_is_missing_is_made_and_nothing_else(bank, plain, tmp_path):
             cg.make_dataset(bank.path, out, **(PLAIN | changed))
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.txt").write_text("mine")
-    with pytest.raises(BankError, match="holds no dataset of views"):
+    with pytest.raises(BankError, match="no views"):
         cg.make_dataset(bank.path, tmp_path / "other", **PLAIN)
 
 
@@ -210,9 +210,9 @@ def test_no_scene_changes_its_split_when_blocks_come_between_or_after(monkeypatc
 def test_a_dataset_with_shares_of_an_earlier_version_is_not_continued(bank, tmp_path):
     asked = {"splits": "train=0.6, test=0.4", **PLAIN}
     path = cg.make_dataset(bank.path, tmp_path / "set", num_scenes=2, **asked).path
-    record = checked_record((path / INDEX).read_bytes())
+    record = checked_record((path / VIEWS.index).read_bytes())
     del record["recipe"]["shares_are"], record["rounds"]
-    write_record(path, record)
+    VIEWS.write_record(path, record)
     with pytest.raises(BankError, match="holds views made with another shares_are"):
         cg.make_dataset(bank.path, path, **asked)
 

@@ -104,8 +104,8 @@ def test_the_same_settings_make_the_same_views_and_more_goes_on(views, bank, tmp
     assert np.array_equal(short[1].view.rgb, list(more.views("train"))[1].view.rgb)
     with pytest.raises(BankError, match="another seed"):
         write_views(more.path, {"made": bank}, "train", 6, PerceptionViewConfig(seed=6, arm=0.0))
-    record = json.loads((more.path / VIEWS.index).read_text())
-    (more.path / VIEWS.index).write_text(json.dumps(unsigned(record) | {"names": ["a"]}))
+    record = json.loads((more.path / VIEWS.store.index).read_text())
+    (more.path / VIEWS.store.index).write_text(json.dumps(unsigned(record) | {"names": ["a"]}))
     with pytest.raises(BankError, match="other objects"):
         write_views(more.path, {"made": bank}, "train", 6, CONFIG)
 

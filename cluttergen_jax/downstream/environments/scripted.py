@@ -17,8 +17,8 @@ from cluttergen_jax.downstream.rearrange.layouts import SceneDraw
 from cluttergen_jax.downstream.rearrange.observe import EpisodeView, ObjectTracker, TrueObserver
 from cluttergen_jax.downstream.rearrange.task import (
     RearrangeOptions,
+    RearrangeProblem,
     RearrangeSetting,
-    RearrangeTask,
 )
 from cluttergen_jax.downstream.robot.episode import stand_beside
 from cluttergen_jax.downstream.robot.grasping.grasps import grasps_of
@@ -69,10 +69,8 @@ def _move_target(env: RobotEnv, start: EpisodeStart, copy: WorldExecution, seed:
     robot = env.world.description
     is_placed = env.task == PlaceTask.name
     stands = (stand_beside(scene.support),) if is_placed else ()
-    known = (scene.names, scene.objects, scene.poses, target, scene.support, base, stands)
-    mover = Mover(
-        copy, PlanningWorld(*known, robot=robot), ArmKinematics(base, robot), target, seed
-    )
+    known = (scene.names, scene.objects, scene.poses, target, scene.support, base, robot)
+    mover = Mover(copy, PlanningWorld(*known, stands), ArmKinematics(base, robot), target, seed)
     grasps = next(iter(grasps_of([scene.objects[target]], robot=robot)))
     goal = matrix_of(start.goals[target : target + 1]) if is_placed else None
     mover.pick(mover.find_pick(grasps, goal))
@@ -86,7 +84,7 @@ def _rearrange(env: RobotEnv, start: EpisodeStart, copy: WorldExecution, seed: i
     robot = env.world.description
     number = len(start.goals)
     draw = SceneDraw(env.world.bank.bank, "clear", number)
-    task = RearrangeTask(
+    task = RearrangeProblem(
         RearrangeSetting(env.task, num_objects=number, start=draw.area, target=draw.area),
         replace(scene, support=draw.support),
         tuple(draw.names.index(name) for name in scene.names),

@@ -115,7 +115,7 @@ def placer_data(
         )
 
     given = (spec, pool, num_scenes, method, support, num_objects)
-    with PAIRS.hold(Path(out)):
+    with PAIRS.store.hold(Path(out)):
         found = bank_or_made(bank, make, "spec pool num_scenes method support num_objects", given)
         check_upright(poses_of(found), "a placer")
         check_one_level(found.support, "a placer")

@@ -14,7 +14,8 @@ from cluttergen_jax.downstream.words import (
     Rearrangement,
     RecordFormat,
     RobotObserver,
-    check_noise,
+    check_choice,
+    check_factor,
 )
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
@@ -22,14 +23,17 @@ from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets import ObjectAsset, Rectangle
+    from cluttergen_jax.downstream.rearrange.layout_views import LayoutPanel
     from cluttergen_jax.downstream.rearrange.observe import Observer
     from cluttergen_jax.downstream.rearrange.perceive import PerceptionObserver
-    from cluttergen_jax.downstream.rearrange.pick import LayoutPanel
     from cluttergen_jax.downstream.rearrange.starts import OwnScenes
     from cluttergen_jax.downstream.rearrange.trials import Rearrangements
-    from cluttergen_jax.downstream.robot.description import RobotDescription
-    from cluttergen_jax.downstream.robot.grasping.grasps import GraspSets
-    from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
+    from cluttergen_jax.downstream.robot import (
+        GraspSets,
+        GraspSource,
+        PathPlanner,
+        RobotDescription,
+    )
 
 _MOST_SEED = 999_999
 _MOST_EPISODES = 1_000_000
@@ -148,9 +152,7 @@ def rearrange(
 
     from cluttergen_jax.downstream.rearrange.task import SETTINGS, RearrangeOptions
     from cluttergen_jax.downstream.rearrange.trials import run_rearrangements
-    from cluttergen_jax.downstream.robot.description import find_robot
-    from cluttergen_jax.downstream.robot.film import check_films
-    from cluttergen_jax.downstream.robot.recorder import RecordAsked
+    from cluttergen_jax.downstream.robot import RecordAsked, check_films, find_robot
 
     check_folder(out)
     check_workers("num_threads", num_threads)
@@ -166,8 +168,7 @@ def rearrange(
         ("observer", observer if isinstance(observer, str) else "true", RobotObserver),
     )
     for name, value, known in asked:
-        if value not in get_args(known):
-            raise ConfigError(f"{name} = {value!r}", ", ".join(get_args(known)))
+        check_choice(name, value, known)
     if segmenter is not None and observer != "perception":
         raise ConfigError(
             f"`segmenter` with observer = {observer!r}", "observer='perception'", "leaving it out"
@@ -187,7 +188,7 @@ def rearrange(
                 f"`{what}` where nothing looks", "observer='perception'", "leaving it out"
             )
     if noise is not None:
-        check_noise([noise])
+        check_factor(noise)
     described = find_robot(robot)
     found, told, usual = _own_scenes(bank, pool, support, target, str(goals), setting)
     recorded = RecordAsked.of(record, record_format, record_cameras)
@@ -228,7 +229,7 @@ def _person(
     rule: LayoutRule, host: str, port: int, browser: bool, show: Callable[[str], None]
 ) -> Iterator[LayoutPanel]:
     """A panel in a browser in which layouts are chosen."""
-    from cluttergen_jax.downstream.rearrange.pick import LayoutPanel
+    from cluttergen_jax.downstream.rearrange.layout_views import LayoutPanel
     from cluttergen_jax.rendering import announce, open_server
 
     server = open_server(host, port, "cluttergen: which layout")
@@ -255,8 +256,7 @@ def _own_scenes(
     from cluttergen_jax.assets import find_support, parse_region, support_hash
     from cluttergen_jax.downstream.bank_scenes import check_one_level
     from cluttergen_jax.downstream.digests import json_digest
-    from cluttergen_jax.downstream.rearrange.goals import bank_place, is_bank
-    from cluttergen_jax.downstream.rearrange.starts import OwnScenes
+    from cluttergen_jax.downstream.rearrange.starts import OwnScenes, bank_place, is_bank
     from cluttergen_jax.scene import read_bank, region_of
 
     found = None if bank is None else read_bank(bank)

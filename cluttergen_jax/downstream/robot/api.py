@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cluttergen_jax import SceneSpec
 from cluttergen_jax.config import FilmFormat, Method, check_names, check_range, check_workers
-from cluttergen_jax.downstream.words import MAX_NOISE, RecordFormat, RobotTask
+from cluttergen_jax.downstream.words import RecordFormat, RobotTask, check_choice, check_factor
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_file, check_folder
 from cluttergen_jax.kept_folder import hold_file
@@ -88,7 +87,7 @@ def robot_grasps(
         if out is not None:
             write_grasps(Path(out), sets.sets)
         if picture is not None:
-            from cluttergen_jax.downstream.robot.grasping.picture import grasp_sheet
+            from cluttergen_jax.downstream.robot.grasping.grasps import grasp_sheet
             from cluttergen_jax.rendering import save_png
 
             save_png(grasp_sheet(chosen, sets), picture)
@@ -174,7 +173,7 @@ def robot_place(
     """
     import os
     from dataclasses import replace
-    from typing import Any, get_args
+    from typing import Any
 
     from cluttergen_jax import generate
     from cluttergen_jax.downstream.bank_scenes import bank_or_made, poses_of
@@ -193,10 +192,9 @@ def robot_place(
     check_workers("num_threads", num_threads)
     check_range("num_episodes", num_episodes, 1, _MOST_EPISODES, 40)
     check_range("seed", seed, 0, _MOST_SEED, 0)
-    if task not in get_args(RobotTask):
-        raise ConfigError(f"task = {task!r}", ", ".join(get_args(RobotTask)))
+    check_choice("task", task, RobotTask)
     looking = _looking(placer)
-    factor = _factor(noise, task, looking is not None)
+    factor = _factor(noise, task == "place" and looking is not None)
     described = find_robot(robot)
     recorded = RecordAsked.of(record, record_format, record_cameras)
     if films:
@@ -281,7 +279,7 @@ def _looking(placer: str | Path | Placer | PlainPlacer) -> Placer | PlainPlacer 
     return None if isinstance(found, FullState) else found
 
 
-def _factor(noise: float | None, task: str, is_looking: bool) -> float:
+def _factor(noise: float | None, is_looking: bool) -> float:
     """So many times the usual noise.
 
     Raises:
@@ -289,18 +287,13 @@ def _factor(noise: float | None, task: str, is_looking: bool) -> float:
     """
     if noise is None:
         return 1.0
-    if task != "place":
-        raise ConfigError(
-            f"noise = {noise!r} with task = {task!r}",
-            "place, and a placer that looks",
-            "task='place'",
-        )
     if not is_looking:
         raise ConfigError(
-            f"noise = {noise!r} where nothing looks", "a placer that looks", "placer='scored'"
+            f"noise = {noise!r} where nothing looks",
+            "task='place' and a placer that looks",
+            "placer='scored'",
         )
-    if not (isinstance(noise, Real) and 0 <= noise <= MAX_NOISE):
-        raise ConfigError(f"noise = {noise!r}", f"0 to {MAX_NOISE:g}", "noise=1")
+    check_factor(noise)
     return float(noise)
 
 
@@ -355,8 +348,7 @@ def grasp_dataset(
     check_workers("num_threads", num_threads)
     check_range("num_grasps", num_grasps, 1, _MOST_GRASPS, 120)
     check_range("views", views, 1, _MOST_VIEWS, 6)
-    if not (isinstance(noise, Real) and 0 <= noise <= MAX_NOISE):
-        raise ConfigError(f"noise = {noise!r}", f"0 to {MAX_NOISE:g}", "noise=1")
+    check_factor(noise)
     check_range("seed", seed, 0, _MOST_SEED, 0)
     if num_lifts is not None:
         check_range("num_lifts", num_lifts, 0, _MOST_GRASPS, 20)

@@ -25,7 +25,7 @@ from cluttergen_jax.downstream.placer.query import (
 )
 from cluttergen_jax.downstream.placer.scene_cameras import DepthView
 from cluttergen_jax.downstream.robot.cameras import above
-from cluttergen_jax.downstream.robot.motion.occupancy_boxes import (
+from cluttergen_jax.downstream.robot.motion.collision import (
     CELL,
     OccupancyBoxes,
     occupancy_boxes,

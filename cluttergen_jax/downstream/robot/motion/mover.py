@@ -13,7 +13,7 @@ from cluttergen_jax.downstream.robot.motion.collision import ROOM, ROOMS, Mode, 
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.motion.ik import LINE_STEP, ArmKinematics
 from cluttergen_jax.downstream.robot.motion.plan import PickPlan, PlacePlan, Planner
-from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.robot.outcome import Failed, Outcome, told_motion
 from cluttergen_jax.downstream.robot.protocols import PathPlanner
 from cluttergen_jax.downstream.transforms import (
     angle_between,
@@ -450,10 +450,10 @@ class Mover:
     def _check_slip(self, before: np.ndarray, most: float = MAX_SLIP) -> None:
         now = self._in_hand()
         # Of the object's point that was between the fingers.
-        moved = np.linalg.norm((now @ inverse(before))[:3, 3])
+        moved = float(np.linalg.norm((now @ inverse(before))[:3, 3]))
         turned = float(angle_between(now, before))
         if moved > most or turned > MAX_TURN:
-            raise Failed(Outcome.SLIP, f"{1e3 * moved:.0f} mm, {np.degrees(turned):.0f} deg")
+            raise Failed(Outcome.SLIP, told_motion(moved, turned))
 
 
 def _tool_at(place: np.ndarray, T_tool_object: np.ndarray) -> np.ndarray:
