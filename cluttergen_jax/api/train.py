@@ -287,13 +287,13 @@ def pretrain(
       BankError: another process writes to `out`.
       KeyboardInterrupt: on Ctrl-C, once everything is saved.
     """
-    from cluttergen_jax.learning.ppo.checkpoint import hold_run
     from cluttergen_jax.learning.training.pretrain import (
         PretrainConfig,
         Pretraining,
         PretrainReport,
         small,
     )
+    from cluttergen_jax.learning.training.run_folder import hold_run
 
     sizes = small(encoder)
     if features is not None:

@@ -7,8 +7,6 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from functools import partial
-from importlib.metadata import version
 from numbers import Integral
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Protocol
@@ -23,18 +21,17 @@ from cluttergen_jax.assets import embedded_root
 from cluttergen_jax.config import check_positive
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning import (
+    Call,
     Interrupt,
     MetricsLog,
-    check_folder,
-    has_state,
+    RunFolder,
+    batch_of,
     hold_run,
-    read_record,
-    read_state,
     save_policy,
-    save_state,
+    versions,
 )
 from cluttergen_jax.numerics import new_key
-from cluttergen_jax.progress import COMPILING, Progress, time_text
+from cluttergen_jax.progress import time_text
 from cluttergen_jax.types import Array
 
 _WARM_UP = 0.02
@@ -227,8 +224,6 @@ def take(examples: Any, which: np.ndarray) -> Any:
     return jax.tree.map(lambda leaf: leaf[index], examples) if len(index) else None
 
 
-_SAVE_EVERY = 60.0
-
 # Fits and learners are values: equal ones share what is compiled.
 _start: Any = jax.jit(Fit.start, static_argnums=0)
 _step: Any = jax.jit(Fit.step, static_argnums=0)
@@ -266,7 +261,7 @@ class FitRun(ABC):
         self.folder = folder
         self._show = show
         self.recipe = {"network": asdict(learner.config), "fit": asdict(config), **recipe}
-        check_folder(folder, self.recipe)
+        self._kept = RunFolder(folder, self.recipe)
 
     @abstractmethod
     def examples(self, split: str) -> Any:
@@ -279,13 +274,12 @@ class FitRun(ABC):
     def store(self, state: FitState, validation: Mapping[str, object], **more: object) -> Path:
         """Stores the best weights; validation: what they were worth besides the loss; more: of the record."""
         folder = self.folder / self.kind
-        names = ("cluttergen_jax", "mujoco", "jax", "flax")
         record = {
             "kind": self.kind,
             **self.recipe,
             **more,
             "validation": {"loss": float(state.best_loss), **validation},
-            "versions": {name: version(name) for name in names},
+            "versions": versions(),
         }
         save_policy(folder, jax.device_get(state.best), record)
         return folder
@@ -300,7 +294,7 @@ class FitRun(ABC):
         """
         with hold_run(self.folder):
             # Another process may have made a run here since.
-            check_folder(self.folder, self.recipe)
+            self._kept.check()
             return self.folder / self.kind if self._is_done() else self._run()
 
     def _run(self) -> Path:
@@ -315,9 +309,8 @@ class FitRun(ABC):
             )
         fit = Fit(self.learner, self.config, batches * self.config.num_epochs)
         with Interrupt() as interrupt:
-            state = self._load_or_start(fit)
+            state: FitState = self._kept.load(_start(fit))
             state = self._learn(fit, state, examples, held_out, interrupt)
-            self._keep(state)
         if int(state.step) < fit.num_steps:
             raise KeyboardInterrupt
         folder = self.save(state, held_out)
@@ -345,50 +338,30 @@ class FitRun(ABC):
 
     def _is_done(self) -> bool:
         """Whether the folder holds this run's checkpoint, which is written last."""
-        place = self.folder / self.kind
-        if not (place / "record.json").is_file():
-            return False
-        record = read_record(place)
-        return all(
-            record.get(name) == value for name, value in json.loads(json.dumps(self.recipe)).items()
-        )
-
-    def _load_or_start(self, fit: Fit) -> FitState:
-        state: FitState = _start(fit)
-        last = self.folder / "last"
-        return read_state(last, state) if has_state(last) else state
-
-    def _keep(self, state: FitState) -> None:
-        save_state(self.folder / "last", state, self.recipe)
+        record = self._kept.policy_record(self.kind)
+        recipe = json.loads(json.dumps(self.recipe))
+        return bool(record) and {name: record.get(name) for name in recipe} == recipe
 
     def _learn(
         self, fit: Fit, state: FitState, examples: Any, held_out: Any, interrupt: Interrupt
     ) -> FitState:
         batches = fit.num_steps // self.config.num_epochs
-        first = int(state.step)
-        log = MetricsLog(self.folder / "metrics.csv", first // batches)
+        log = MetricsLog(self.folder / "metrics.csv", int(state.step) // batches)
         seen: list[dict[str, Array]] = []
-        saved = time.monotonic()
         note = ""
-        with Progress("learning", fit.num_steps, "step", kept=first) as progress:
-            progress.say(COMPILING)
-            for number in range(first, fit.num_steps):
-                if interrupt.is_asked:
-                    break
-                index = self._batch(number, num_examples(examples), batches)
-                call = partial(interrupt.run_compiling, _step) if number == first else _step
-                state, parts = call(fit, state, take(examples, index))
-                seen.append(parts)
-                if (number + 1) % batches == 0:
-                    state, note = self._end_epoch(
-                        fit, state, held_out, seen, log, number // batches
-                    )
-                    seen = []
-                progress.update(note=note)
-                if time.monotonic() - saved > _SAVE_EVERY:
-                    self._keep(state)
-                    saved = time.monotonic()
-        return state
+
+        def step(call: Call, number: int, state: FitState) -> tuple[FitState, str]:
+            nonlocal note
+            size = self.config.batch_size
+            index = batch_of(number, size, num_examples(examples), self.config.seed)
+            state, parts = call(_step, fit, state, take(examples, np.sort(index)))
+            seen.append(parts)
+            if (number + 1) % batches == 0:
+                state, note = self._end_epoch(fit, state, held_out, seen, log, number // batches)
+                seen.clear()
+            return state, note
+
+        return self._kept.learn(state, fit.num_steps, step, interrupt)
 
     def _end_epoch(
         self,
@@ -418,12 +391,6 @@ class FitRun(ABC):
             best = jax.tree.map(jnp.array, state.params)
             state = state.replace(best=best, best_loss=jnp.float32(found))
         return state, f"loss {row['loss']:.3f}, validation {found:.3f}"
-
-    def _batch(self, number: int, num_examples: int, batches: int) -> np.ndarray:
-        """The examples of step `number`: each epoch has an order of its own."""
-        epoch, place = divmod(number, batches)
-        order = np.random.default_rng([self.config.seed, epoch]).permutation(num_examples)
-        return np.sort(order[place * self.config.batch_size : (place + 1) * self.config.batch_size])
 
     def batches_of(self, examples: Any) -> Iterator[Any]:
         """The examples in parts of at most a batch."""

@@ -13,18 +13,20 @@ if TYPE_CHECKING:
         with_history_of,
     )
     from cluttergen_jax.learning.ppo.checkpoint import (
-        check_folder,
         folder_hash,
-        has_state,
-        hold_run,
         read_policy,
         read_record,
-        read_state,
         save_policy,
-        save_state,
     )
-    from cluttergen_jax.learning.training.interrupt import Interrupt
-    from cluttergen_jax.learning.training.metrics_log import MetricsLog
+    from cluttergen_jax.learning.training.run_folder import (
+        Call,
+        Interrupt,
+        RunFolder,
+        batch_of,
+        hold_run,
+        versions,
+    )
+    from cluttergen_jax.learning.training.run_logger import MetricsLog
     from cluttergen_jax.learning.training.stability import (
         Calibration,
         calibration,
@@ -42,18 +44,20 @@ __getattr__, __all__ = offer(
             "with_history_of",
         ),
         "ppo.checkpoint": (
-            "check_folder",
             "folder_hash",
-            "has_state",
-            "hold_run",
             "read_policy",
             "read_record",
-            "read_state",
             "save_policy",
-            "save_state",
         ),
-        "training.interrupt": ("Interrupt",),
-        "training.metrics_log": ("MetricsLog",),
+        "training.run_logger": ("MetricsLog",),
+        "training.run_folder": (
+            "Call",
+            "Interrupt",
+            "RunFolder",
+            "batch_of",
+            "hold_run",
+            "versions",
+        ),
         "training.stability": ("Calibration", "calibration", "draw_calibration"),
     },
 )

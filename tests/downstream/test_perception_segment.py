@@ -35,7 +35,7 @@ from cluttergen_jax.downstream.perception.types import (
 )
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
-from cluttergen_jax.learning.training.metrics_log import read_rows
+from cluttergen_jax.learning.training.run_logger import read_rows
 from tests.helpers.perception import OBJECTS, POSES, TABLE, ByColour, drawn_view, overhead, view_of
 
 SMALL = SegmentConfig(3, (8, 8, 16, 16))

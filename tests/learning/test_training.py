@@ -10,8 +10,7 @@ import pytest
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
 from cluttergen_jax.learning.policies.policy import load_policy
 from cluttergen_jax.learning.ppo.checkpoint import read_record
-from cluttergen_jax.learning.training import metrics_log
-from cluttergen_jax.learning.training.metrics_log import read_rows
+from cluttergen_jax.learning.training.run_logger import read_rows
 from cluttergen_jax.placement.observation import ObservationConfig, observe
 from tests.helpers.problems import made_up_rules
 from tests.helpers.runs import Stopping, compiled_once, make_run, weights

@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +19,8 @@ from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.learning.networks.stability import NUM_FEATURES, StabilityNetConfig
 from cluttergen_jax.learning.policies.guided import KIND, blank_params
-from cluttergen_jax.learning.ppo import checkpoint
-from cluttergen_jax.learning.training.interrupt import Interrupt
+from cluttergen_jax.learning.ppo.checkpoint import save_policy
+from cluttergen_jax.learning.training.run_folder import Interrupt, RunFolder, hold_run, versions
 from cluttergen_jax.learning.training.stability import (
     Examples,
     Explorer,
@@ -114,7 +113,7 @@ def train_guided(
         config = replace(config, num_attempts=num_attempts // config.num_rounds)
     folder = Path(out or f"runs/guided-{seed}")
     show(f"run        {folder}")
-    with checkpoint.hold_run(folder):
+    with hold_run(folder):
         return GuidedTraining(config, folder, show).run()
 
 
@@ -136,9 +135,10 @@ class GuidedTraining:
         self.config = config
         self.folder = folder
         self._show = show
-        checkpoint.check_folder(folder, {"config": asdict(config)})
+        run = RunFolder(folder, {"config": asdict(config)})
         (folder / "attempts").mkdir(parents=True, exist_ok=True)
-        checkpoint.save_state(folder / "last", {"begun": np.ones(1)}, {"config": asdict(config)})
+        # What was seen lies in files of its own; the state says that it is begun, and how.
+        run.save({"begun": np.ones(1)})
         self._step = jax.jit(collect_step, donate_argnums=1)
 
     def run(self) -> Path:
@@ -242,16 +242,14 @@ class GuidedTraining:
             "families": TRAINING_FAMILIES,
             "held_out_families": HELD_OUT_FAMILIES,
             "held_out": {"stands": asdict(found), "robust": asdict(robust)},
-            "versions": {
-                name: version(name) for name in ("cluttergen_jax", "mujoco", "jax", "flax")
-            },
+            "versions": versions(),
         }
         folder.mkdir(parents=True, exist_ok=True)
         draw_calibration(
             {"stands": found, "stands under change": robust}, folder / "calibration.png"
         )
         # Last: a folder with a record is a run that is done.
-        checkpoint.save_policy(folder, params, record)
+        save_policy(folder, params, record)
 
 
 class _Crowds:

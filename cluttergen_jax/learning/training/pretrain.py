@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +21,17 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.networks.actor_critic import PointNet
 from cluttergen_jax.learning.networks.cloud_encoder import CloudNet, first_centroids
 from cluttergen_jax.learning.networks.config import NetworkConfig
-from cluttergen_jax.learning.ppo import checkpoint
-from cluttergen_jax.learning.training.interrupt import Interrupt
+from cluttergen_jax.learning.ppo.checkpoint import read_record, save_policy
+from cluttergen_jax.learning.training.run_folder import (
+    SAVE_EVERY,
+    Call,
+    Interrupt,
+    RunFolder,
+    batch_of,
+    hold_run,
+)
 from cluttergen_jax.numerics import new_key
-from cluttergen_jax.progress import Progress, track
+from cluttergen_jax.progress import track
 from cluttergen_jax.types import Array
 
 
@@ -211,7 +216,7 @@ class PretrainConfig:
     batch_size: int = 32
     learning_rate: float = 1e-3
     seed: int = 0
-    save_every: float = 60.0
+    save_every: float = SAVE_EVERY
 
     def __post_init__(self) -> None:
         for name in ("num_shapes", "num_held_out", "num_epochs", "batch_size", "learning_rate"):
@@ -262,7 +267,7 @@ class Pretraining:
         self.folder = folder
         model = Classifier(config.network, len(config.families))
         self.fit = ClassifierTrainer(model, config.num_steps, config.learning_rate)
-        checkpoint.check_folder(folder, {"config": asdict(config)})
+        self._run = RunFolder(folder, {"config": asdict(config)})
         folder.mkdir(parents=True, exist_ok=True)
 
     def run(self) -> float:
@@ -278,7 +283,6 @@ class Pretraining:
             if int(state.step) < config.num_steps:
                 shapes = make_clouds(config.families, _seeds(config, False), points, "shapes")
                 state = self._learn(state, shapes, interrupt)
-                checkpoint.save_state(self.folder / "last", state, {"config": asdict(config)})
         if int(state.step) < config.num_steps:
             self._save(state, None)
             raise KeyboardInterrupt
@@ -289,37 +293,21 @@ class Pretraining:
     def _start(self) -> FitState:
         points = self.config.network.object_points
         start = jax.jit(self.fit.start, static_argnums=1)
-        state = start(new_key(self.config.seed), points)
-        last = self.folder / "last"
-        return checkpoint.read_state(last, state) if checkpoint.has_state(last) else state
+        state: FitState = self._run.load(start(new_key(self.config.seed), points))
+        return state
 
     def _learn(self, state: FitState, shapes: ShapeClouds, interrupt: Interrupt) -> FitState:
         config = self.config
-        step = jax.jit(self.fit.step, donate_argnums=0)
-        first = int(state.step)
-        saved = time.monotonic()
-        with Progress("learning", config.num_steps, "step", kept=first) as progress:
-            for number in range(first, config.num_steps):
-                if interrupt.is_asked:
-                    break
-                index = self._batch(number)
-                key = jax.random.fold_in(new_key(config.seed + 1), number)
-                call = partial(interrupt.run_compiling, step) if number == first else step
-                state, loss, accuracy = call(state, shapes.cloud[index], shapes.label[index], key)
-                progress.update(note=f"loss {float(loss):.3f} accuracy {float(accuracy):.2f}")
-                if time.monotonic() - saved > config.save_every:
-                    checkpoint.save_state(self.folder / "last", state, {"config": asdict(config)})
-                    saved = time.monotonic()
-        return state
+        compiled = jax.jit(self.fit.step, donate_argnums=0)
 
-    def _batch(self, number: int) -> np.ndarray:
-        """The shapes of step `number`: each epoch has an order of its own."""
-        config = self.config
-        epoch, position = divmod(number, config.batches)
-        order = np.random.default_rng([config.seed, epoch]).permutation(
-            config.num_shapes * len(config.families)
-        )
-        return order[position * config.batch_size : (position + 1) * config.batch_size]
+        def step(call: Call, number: int, state: FitState) -> tuple[FitState, str]:
+            index = batch_of(number, config.batch_size, len(shapes.label), config.seed)
+            key = jax.random.fold_in(new_key(config.seed + 1), number)
+            clouds = shapes.cloud[index]
+            state, loss, accuracy = call(compiled, state, clouds, shapes.label[index], key)
+            return state, f"loss {float(loss):.3f} accuracy {float(accuracy):.2f}"
+
+        return self._run.learn(state, config.num_steps, step, interrupt, config.save_every)
 
     def _accuracy(self, state: FitState) -> float:
         """The share of shapes never learned from that are recognised, each turned about z at random."""
@@ -351,7 +339,7 @@ class Pretraining:
             "steps": int(state.step),
             "config": asdict(self.config),
         }
-        checkpoint.save_policy(self.folder, jax.device_get(state.params["encoder"]), record)
+        save_policy(self.folder, jax.device_get(state.params["encoder"]), record)
 
 
 def _seeds(config: PretrainConfig, is_held_out: bool) -> list[int]:
@@ -379,7 +367,7 @@ def pretrain_for(network: NetworkConfig, folder: Path, show: Callable[[str], Non
     sizes = ("object_points", "num_centroids", "group_size", "object_features", "scene_features")
     values = {name: getattr(network, name) for name in sizes}
     # Several processes that train one policy together come here at once: one of them pretrains.
-    with checkpoint.hold_run(folder, _LONGEST_RUN if jax.process_count() > 1 else 0.0):
+    with hold_run(folder, _LONGEST_RUN if jax.process_count() > 1 else 0.0):
         if not is_pretrained(folder):
             Pretraining(
                 PretrainConfig(replace(small(network.scene_encoder), **values)), folder
@@ -389,7 +377,7 @@ def pretrain_for(network: NetworkConfig, folder: Path, show: Callable[[str], Non
 def is_pretrained(folder: Path) -> bool:
     """Whether a folder holds the weights of a whole pretraining."""
     record = folder / "record.json"
-    return record.exists() and checkpoint.read_record(folder).get("held_out_accuracy") is not None
+    return record.exists() and read_record(folder).get("held_out_accuracy") is not None
 
 
 def small(encoder: str) -> NetworkConfig:

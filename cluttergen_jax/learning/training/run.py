@@ -16,13 +16,13 @@ import numpy as np
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.errors import ClutterGenError, ConfigError
 from cluttergen_jax.learning.agents import ENCODER, make_agent
-from cluttergen_jax.learning.networks.config import KIND, NetworkConfig
+from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.policies.policy import TrainedPolicy, make_policy
-from cluttergen_jax.learning.ppo.checkpoint import has_state, read_policy, read_state
+from cluttergen_jax.learning.ppo.checkpoint import read_policy
 from cluttergen_jax.learning.ppo.ppo import PPO, PPOConfig, TrainState
 from cluttergen_jax.learning.ppo.sharding import make_mesh
 from cluttergen_jax.learning.training import distributed
-from cluttergen_jax.learning.training.interrupt import Interrupt
+from cluttergen_jax.learning.training.run_folder import Interrupt, RunFolder
 from cluttergen_jax.learning.training.run_logger import (
     Evaluate,
     Evaluation,
@@ -40,7 +40,6 @@ from cluttergen_jax.placement.methods.table import make_proposer
 from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, Rollout
 from cluttergen_jax.placement.rules import Proposer, Rules
-from cluttergen_jax.schema import Record
 from cluttergen_jax.statistics import wilson
 
 _SET_ENCODER = "PointNet_0"
@@ -60,8 +59,7 @@ class Run:
       network: the network's sizes.
       ppo: the numbers.
       config: how it is watched over.
-      folder: continued if it holds a run.
-      recipe: JSON values stored in every checkpoint.
+      folder: with the recipe that every checkpoint has.
       evaluate: says how good weights are; None leaves evaluations out.
       encoder_weights: folder of pretrained weights that the point encoders begin with.
       random: says how good `random` is in the same world, for the end of the run; None leaves it out.
@@ -73,34 +71,31 @@ class Run:
         network: NetworkConfig,
         ppo: PPOConfig,
         config: RunConfig,
-        folder: Path,
-        recipe: Record,
+        folder: RunFolder,
         evaluate: Evaluate | None = None,
         encoder_weights: Path | None = None,
         random: Callable[[], SuccessRate] | None = None,
     ) -> None:
         self.config = config
         self.folder = folder
-        self.recipe = recipe | {"kind": KIND}
         self.agent = make_agent(rules, network)
         env = PlacementEnv(rules, self.agent.observation)
         self.ppo = PPO(env, self.agent.apply, ppo, make_mesh(ppo.num_envs), self.agent.encode)
         self._encoder_weights = encoder_weights
         self._evaluate = evaluate
         self._random = random
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.path.mkdir(parents=True, exist_ok=True)
 
     def start(self) -> TrainState:
         """The state to go on from: the last checkpoint's, or a fresh one."""
         key_init, key_run = jax.random.split(new_key(self.config.seed))
         fresh = distributed.fresh_state(self.ppo, key_run, self._init(key_init))
-        last = self.folder / "last"
-        if not distributed.agree(has_state(last))[0, 0]:
+        if not distributed.agree(self.folder.is_begun)[0, 0]:
             return fresh
         whole = distributed.gather(fresh)
         return distributed.put_state(
             self.ppo,
-            distributed.broadcast(read_state(last, whole) if distributed.is_writer() else whole),
+            distributed.broadcast(self.folder.load(whole) if distributed.is_writer() else whole),
         )
 
     def _init(self, key: Any) -> Any:
@@ -135,7 +130,7 @@ class Run:
     def _logger(self, first: int, show: Callable[[str], None]) -> Logger:
         if not distributed.is_writer():
             return NullLogger()
-        return RunLogger(self.folder, self.recipe, self.config, self.ppo.config, first, show)
+        return RunLogger(self.folder, self.config, self.ppo.config, first, show)
 
     def _work(self, state: TrainState, logger: Logger, interrupt: Interrupt) -> TrainState:
         """Updates to the end, or until an interrupt asks for it; the latest state, which is saved."""
@@ -226,7 +221,7 @@ class Run:
         return DivergedError(
             f"update {number}: numbers are not finite" + (f", first in {where}" if where else ""),
             hint=f"a smaller learning rate with another `out`; the last good state, after "
-            f"{int(state.num_updates)} updates, is in {self.folder / 'last'}",
+            f"{int(state.num_updates)} updates, is in {self.folder.path / 'last'}",
         )
 
 

@@ -14,10 +14,11 @@ from tqdm import tqdm
 
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.learning.ppo.checkpoint import check_folder, has_state, read_record
-from cluttergen_jax.learning.training.metrics_log import read_rows
+from cluttergen_jax.learning.ppo.checkpoint import has_state, read_record
 from cluttergen_jax.learning.training.presets import make_settings, paper
 from cluttergen_jax.learning.training.pretrain import is_pretrained, pretrain_for
+from cluttergen_jax.learning.training.run_folder import RunFolder
+from cluttergen_jax.learning.training.run_logger import read_rows
 from cluttergen_jax.learning.training.suite import POOLS, SEEDS, PlannedRun, plan
 from cluttergen_jax.learning.training.train import TrainConfig, recipe_of, run_training
 from cluttergen_jax.progress import time_text
@@ -146,7 +147,7 @@ def _standing(config: TrainConfig, run: PlannedRun) -> RunStatus:
     """Reads how far a run has come; ConfigError where its folder holds a run with other settings."""
     if config.encoder_weights is None or is_pretrained(Path(config.encoder_weights)):
         settings = config.settings()
-        check_folder(config.folder, recipe_of(config, settings))
+        RunFolder(config.folder, recipe_of(config, settings))
     else:
         # No run has begun without its encoder.
         kind = make_settings(config.preset, run.variant).network.scene_encoder

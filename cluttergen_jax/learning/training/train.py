@@ -7,19 +7,18 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
 from cluttergen_jax.assets.pool import find_pool, public_name
 from cluttergen_jax.config import EvalAction, Preset, stability_record
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
-from cluttergen_jax.learning.ppo.checkpoint import check_folder, hold_run
+from cluttergen_jax.learning.networks.config import KIND
+from cluttergen_jax.learning.training.run_folder import Interrupt, RunFolder, hold_run, versions
 from cluttergen_jax.placement.config import placement_record
 from cluttergen_jax.schema import Record
 
 if TYPE_CHECKING:
-    from cluttergen_jax.learning.training.interrupt import Interrupt
     from cluttergen_jax.learning.training.presets import Settings
 
 ACTIONS = get_args(EvalAction)
@@ -194,8 +193,7 @@ def _run(
             stability=settings.stability,
         )
     )
-    recipe = recipe_of(config, settings)
-    check_folder(config.folder, recipe)
+    folder = RunFolder(config.folder, recipe_of(config, settings))
     say = show if is_writer() else _say_nothing
     say(f"run        {config.folder}")
     is_sampled = config.eval_action != "mean"
@@ -210,8 +208,7 @@ def _run(
             memory_limit=None if config.memory_limit is None else int(config.memory_limit * 1e9),
             wandb=config.wandb,
         ),
-        config.folder,
-        recipe,
+        folder,
         evaluate if config.eval_episodes else None,
         None if config.encoder_weights is None else Path(config.encoder_weights),
         evaluate.random if config.eval_episodes else None,
@@ -235,7 +232,8 @@ def recipe_of(config: TrainConfig, settings: Settings) -> Record:
         **dataclasses.asdict(settings),
         "placement": placement_record(settings.placement),
         "stability": stability_record(settings.stability),
-        "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax", "flax")},
+        "versions": versions(),
+        "kind": KIND,
     }
 
 
