@@ -118,7 +118,7 @@ def train(
       DivergedError: numbers are not finite any more; the last good state is saved.
       KeyboardInterrupt: on Ctrl-C, once everything is saved.
     """
-    from cluttergen_jax.learning.training.distributed import join
+    from cluttergen_jax.learning.ppo.sharding import join
     from cluttergen_jax.learning.training.train import TrainConfig, as_in_paper, run_training
 
     asked = spec_of(train, spec, options)

@@ -18,6 +18,11 @@ if TYPE_CHECKING:
         read_record,
         save_policy,
     )
+    from cluttergen_jax.learning.training.guided import (
+        Calibration,
+        calibration,
+        draw_calibration,
+    )
     from cluttergen_jax.learning.training.run_folder import (
         Call,
         Interrupt,
@@ -27,11 +32,6 @@ if TYPE_CHECKING:
         versions,
     )
     from cluttergen_jax.learning.training.run_logger import MetricsLog
-    from cluttergen_jax.learning.training.stability import (
-        Calibration,
-        calibration,
-        draw_calibration,
-    )
 
 __getattr__, __all__ = offer(
     __name__,
@@ -58,6 +58,6 @@ __getattr__, __all__ = offer(
             "hold_run",
             "versions",
         ),
-        "training.stability": ("Calibration", "calibration", "draw_calibration"),
+        "training.guided": ("Calibration", "calibration", "draw_calibration"),
     },
 )

@@ -31,10 +31,10 @@ from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, read_grasps,
 from cluttergen_jax.downstream.rows import RowFile
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.evaluation.store import Store
-from cluttergen_jax.learning.networks.stability import NUM_FEATURES
+from cluttergen_jax.learning.policies.guided import NUM_FEATURES
+from cluttergen_jax.learning.training.guided import Examples
 from cluttergen_jax.learning.training.guided import _read as read_attempts
 from cluttergen_jax.learning.training.guided import _write as write_attempts
-from cluttergen_jax.learning.training.stability import Examples
 from cluttergen_jax.sensing.camera import Camera, intrinsics
 from tests.helpers.records import unsigned
 from tests.helpers.worlds import trio

@@ -77,7 +77,7 @@ class Classifier(nn.Module):
         return nn.Dense(self.num_classes)(nn.relu(nn.Dense(256)(features)))
 
 
-class FitState(struct.PyTreeNode):
+class ClassifierState(struct.PyTreeNode):
     """What a step changes: weights, Adam's moments, steps done."""
 
     params: Any
@@ -105,20 +105,20 @@ class ClassifierTrainer:
         rate = optax.cosine_decay_schedule(self.learning_rate, self.num_steps)
         return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(rate, weight_decay=1e-4))
 
-    def start(self, key: Array, num_points: int) -> FitState:
+    def start(self, key: Array, num_points: int) -> ClassifierState:
         """Fresh weights for clouds of `num_points`."""
         params = self.model.init(key, jnp.zeros((num_points, 3)), jnp.ones(num_points, bool))[
             "params"
         ]
-        return FitState(params, self._optimizer().init(params), jnp.int32(0))
+        return ClassifierState(params, self._optimizer().init(params), jnp.int32(0))
 
     def logits(self, params: Any, cloud: Array, mask: Array) -> Array:
         """f32[B, C] of clouds f32[B, P, 3] and masks bool[B, P]."""
         return jax.vmap(lambda *each: self.model.apply({"params": params}, *each))(cloud, mask)
 
     def step(
-        self, state: FitState, cloud: Array, label: Array, key: Array
-    ) -> tuple[FitState, Array, Array]:
+        self, state: ClassifierState, cloud: Array, label: Array, key: Array
+    ) -> tuple[ClassifierState, Array, Array]:
         """One gradient step on clouds f32[B, P, 3] with labels i32[B]: the new state, loss and accuracy."""
         vary = jax.vmap(lambda cloud, key: augment(cloud, key, self.augment))
         cloud, mask = vary(cloud, jax.random.split(key, len(cloud)))
@@ -131,7 +131,7 @@ class ClassifierTrainer:
         (loss, accuracy), gradient = jax.value_and_grad(loss_of, has_aux=True)(state.params)
         change, optimizer = self._optimizer().update(gradient, state.optimizer, state.params)
         params = optax.apply_updates(state.params, change)
-        return FitState(params, optimizer, state.step + 1), loss, accuracy
+        return ClassifierState(params, optimizer, state.step + 1), loss, accuracy
 
 
 def augment(cloud: Array, key: Array, config: AugmentConfig) -> tuple[Array, Array]:
@@ -290,17 +290,19 @@ class Pretraining:
         self._save(state, accuracy)
         return accuracy
 
-    def _start(self) -> FitState:
+    def _start(self) -> ClassifierState:
         points = self.config.network.object_points
         start = jax.jit(self.fit.start, static_argnums=1)
-        state: FitState = self._run.load(start(new_key(self.config.seed), points))
+        state: ClassifierState = self._run.load(start(new_key(self.config.seed), points))
         return state
 
-    def _learn(self, state: FitState, shapes: ShapeClouds, interrupt: Interrupt) -> FitState:
+    def _learn(
+        self, state: ClassifierState, shapes: ShapeClouds, interrupt: Interrupt
+    ) -> ClassifierState:
         config = self.config
         compiled = jax.jit(self.fit.step, donate_argnums=0)
 
-        def step(call: Call, number: int, state: FitState) -> tuple[FitState, str]:
+        def step(call: Call, number: int, state: ClassifierState) -> tuple[ClassifierState, str]:
             index = batch_of(number, config.batch_size, len(shapes.label), config.seed)
             key = jax.random.fold_in(new_key(config.seed + 1), number)
             clouds = shapes.cloud[index]
@@ -309,7 +311,7 @@ class Pretraining:
 
         return self._run.learn(state, config.num_steps, step, interrupt, config.save_every)
 
-    def _accuracy(self, state: FitState) -> float:
+    def _accuracy(self, state: ClassifierState) -> float:
         """The share of shapes never learned from that are recognised, each turned about z at random."""
         config = self.config
         shapes = make_clouds(
@@ -329,7 +331,7 @@ class Pretraining:
             right += int((found == shapes.label[index])[:number].sum())
         return right / len(cloud)
 
-    def _save(self, state: FitState, accuracy: float | None) -> None:
+    def _save(self, state: ClassifierState, accuracy: float | None) -> None:
         network = self.config.network
         record = {
             "encoder": network.scene_encoder,

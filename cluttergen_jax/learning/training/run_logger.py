@@ -20,10 +20,11 @@ from cluttergen_jax.files import write_atomically
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
 from cluttergen_jax.learning.ppo.ppo import PPOConfig, TrainState
 from cluttergen_jax.learning.training.run_folder import SAVE_EVERY, RunFolder
-from cluttergen_jax.learning.training.updates import Figures
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.schema import Record
 
+Figures = dict[str, np.ndarray]
+"""Of one update, by name."""
 Row = dict[str, float]
 
 

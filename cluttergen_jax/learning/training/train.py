@@ -161,7 +161,7 @@ def _hold_run(folder: Path) -> Iterator[None]:
         except ClutterGenError as error:
             refusal = error
         if jax.process_count() > 1:
-            from cluttergen_jax.learning.training.distributed import agree
+            from cluttergen_jax.learning.ppo.sharding import agree
 
             is_refused = agree(refusal is not None).any()
             if is_refused and refusal is None:
@@ -178,7 +178,7 @@ def _run(
     interrupt: Interrupt | None,
 ) -> Path:
     # Brax takes seconds to import, and only who trains needs it.
-    from cluttergen_jax.learning.training.distributed import is_writer
+    from cluttergen_jax.learning.ppo.sharding import is_writer
     from cluttergen_jax.learning.training.run import Evaluator, Run, RunConfig
     from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 
