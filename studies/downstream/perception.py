@@ -15,7 +15,7 @@ from cluttergen_jax.downstream.perception.evaluate import (
     PerceptionRow,
 )
 from cluttergen_jax.downstream.perception.scoring import MaskFigures
-from cluttergen_jax.downstream.placer.evaluation.tables import Row, with_interval
+from cluttergen_jax.downstream.placer.evaluate import Row, with_interval
 from cluttergen_jax.statistics import proportion, share_row
 from cluttergen_jax.tables import Table
 from studies.downstream.suite_folder import SuiteFolder

@@ -11,16 +11,18 @@ import pytest
 import cluttergen_jax as cg
 from cluttergen_jax.downstream.fitting import FitConfig
 from cluttergen_jax.downstream.placer import training
-from cluttergen_jax.downstream.placer.heads.checkpoint import load_placer, placer_folder
-from cluttergen_jax.downstream.placer.heads.features import (
-    MIRRORED,
-    crops_of,
-    features_of,
-    own_shape,
-)
-from cluttergen_jax.downstream.placer.heads.scored import ScoredConfig, ScoredHead, lower_candidates
+from cluttergen_jax.downstream.placer.checkpoint import load_placer, placer_folder
 from cluttergen_jax.downstream.placer.map_search import APART
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS
+from cluttergen_jax.downstream.placer.scored import (
+    MIRRORED,
+    ScoredConfig,
+    ScoredHead,
+    crops_of,
+    features_of,
+    lower_candidates,
+    own_shape,
+)
 from cluttergen_jax.downstream.placer.training import PlacerTraining, best_temperature
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.ppo.checkpoint import save_policy

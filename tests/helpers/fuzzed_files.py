@@ -25,7 +25,7 @@ from cluttergen_jax.downstream.perception.certainty import (
 from cluttergen_jax.downstream.perception.frames import Frame, read_frame, write_frame
 from cluttergen_jax.downstream.perception.views.store import SCHEMA as VIEW_SCHEMA
 from cluttergen_jax.downstream.perception.views.store import VIEWS, read_views
-from cluttergen_jax.downstream.placer.pairs.store import PAIRS, SCHEMA, labels_of, read_pairs
+from cluttergen_jax.downstream.placer.pairs import PAIRS, SCHEMA, labels_of, read_pairs
 from cluttergen_jax.downstream.robot.episode import EpisodeResult
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, read_grasps, write_grasps
 from cluttergen_jax.downstream.rows import RowFile

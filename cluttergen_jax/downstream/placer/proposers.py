@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from cluttergen_jax.downstream.placer.heads.checkpoint import (
+from cluttergen_jax.downstream.placer.checkpoint import (
     embedded_placers,
     load_placer,
     placer_folder,

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from cluttergen_jax.downstream.fitting import Learner, blank_params, config_of, embedded_checkpoints
-from cluttergen_jax.downstream.placer.heads.scored import ScoredConfig, ScoredHead
 from cluttergen_jax.downstream.placer.query import Example, Placer
+from cluttergen_jax.downstream.placer.scored import ScoredConfig, ScoredHead
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.learning import read_policy, read_record
 
