@@ -120,13 +120,13 @@ class FitConfig:
         seed: int | None = None,
     ) -> FitConfig:
         """The same with those of these that are not None."""
-        return replace(
-            self,
-            num_epochs=self.num_epochs if num_epochs is None else num_epochs,
-            batch_size=self.batch_size if batch_size is None else batch_size,
-            learning_rate=self.learning_rate if learning_rate is None else learning_rate,
-            seed=self.seed if seed is None else seed,
-        )
+        given = {
+            "num_epochs": num_epochs,
+            "batch_size": batch_size,
+            "learning_rate": learning_rate,
+            "seed": seed,
+        }
+        return replace(self, **{name: each for name, each in given.items() if each is not None})
 
     def optimizer(self, num_steps: int) -> optax.GradientTransformation:
         """For a run of so many steps."""

@@ -152,14 +152,6 @@ class Bench:
         poses[np.arange(len(target)), focus] = own(self._episodes.region, target)
         return self._count(poses, is_placed)
 
-    def stands_alone(self) -> np.ndarray:
-        """bool[P]: whether the partial scene stands as it is, without the object."""
-        episodes = self._episodes
-        physics: Any = self._rules.simulator
-        state = (np.asarray(episodes.poses), np.asarray(episodes.is_placed))
-        standing: Any = physics.stand_batch(*state, np.ones(len(state[0]), bool))
-        return np.asarray(standing.verdict) == int(Verdict.STABLE)
-
 
 def proposals_arrays(proposals: Proposals) -> tuple[np.ndarray, np.ndarray]:
     """Poses and scores as they are stored."""

@@ -464,7 +464,6 @@ class PlacerTrials:
         figures["paper_without_invalid"] = proportion(outcome.is_quiet[is_asked]) | {
             "queries": num_asked
         }
-        figures["stands_without"] = float(self._stands_alone.mean())
         return figures, outcome
 
     def _queries(self, noise: float) -> tuple[PlacementQuery, PairLabels]:
@@ -490,10 +489,6 @@ class PlacerTrials:
     @cached_property
     def _is_own_quiet(self) -> np.ndarray:
         return self._bench.is_own_quiet()
-
-    @cached_property
-    def _stands_alone(self) -> np.ndarray:
-        return self._bench.stands_alone()
 
 
 def _name_of(placer: AnyPlacer) -> str:

@@ -97,9 +97,7 @@ class SceneCameras:
         for number in range(1, num_cameras):
             rng = np.random.default_rng((*seed, number, 5))
             camera, image = self.look(poses, is_placed, rng)
-            views.append(
-                DepthView(depth_of(depth_bytes(image.depth), camera.width, camera.height), camera)
-            )
+            views.append(_as_stored(image, camera))
         return views
 
     def views(
@@ -107,11 +105,7 @@ class SceneCameras:
     ) -> list[DepthView]:
         """What given cameras see, as it would be stored."""
         data = self._pose(poses, is_placed)
-        images = [depth_bytes(self._sensor.sense(data, camera).depth) for camera in cameras]
-        return [
-            DepthView(depth_of(stored, camera.width, camera.height), camera)
-            for stored, camera in zip(images, cameras, strict=True)
-        ]
+        return [_as_stored(self._sensor.sense(data, camera), camera) for camera in cameras]
 
     def draw_cameras(self, seed: tuple[int, ...], num_cameras: int) -> list[Camera]:
         """Cameras that are not looked through first; the first is drawn of the seed itself."""
@@ -150,6 +144,10 @@ def depth_bytes(depth: np.ndarray) -> bytes:
     """The inverse of `depth_of`, to the millimetre."""
     whole = np.round(np.where(np.isfinite(depth), depth, 0.0) * MILLIMETRES)
     return np.clip(whole, 0, np.iinfo(np.uint16).max).astype("<u2").tobytes()
+
+
+def _as_stored(image: DepthImage, camera: Camera) -> DepthView:
+    return DepthView(depth_of(depth_bytes(image.depth), camera.width, camera.height), camera)
 
 
 def _is_inside(camera: Camera, support: Any) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cluttergen_jax.assets.pool import embedded_root, user_root
+from cluttergen_jax.assets import embedded_root, user_root
 from cluttergen_jax.errors import PoolError
 
 FOR_ANY_POOL = ("guided",)

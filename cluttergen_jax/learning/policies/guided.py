@@ -8,21 +8,18 @@ from typing import Any
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
-import numpy as np
 from flax import struct
 
-from cluttergen_jax.errors import PoolError
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint
-from cluttergen_jax.learning.ppo.checkpoint import read_policy
+from cluttergen_jax.learning.ppo.checkpoint import blank, read_policy
 from cluttergen_jax.numerics import new_key
+from cluttergen_jax.placement import Episode, Rules
 from cluttergen_jax.placement.methods.baselines import LowestFit, costs_of_staying
-from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.search.candidate_sampler import (
     CandidateConfig,
     CandidateSampler,
     CandidateSet,
 )
-from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 
 NUM_FEATURES = 24
@@ -158,8 +155,7 @@ class Guided(CandidateSampler, eq=False):
 
 def blank_params(network: StabilityNetConfig) -> Any:
     """Parameters of the network's shapes, all zero."""
-    shapes = jax.eval_shape(StabilityNet(network).init, new_key(0), jnp.zeros((1, NUM_FEATURES)))
-    return jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
+    return blank(StabilityNet(network).init, new_key(0), jnp.zeros((1, NUM_FEATURES)))
 
 
 def make_guided(
@@ -175,13 +171,7 @@ def make_guided(
 
 def load_guided(checkpoint: Checkpoint, rules: Rules) -> Guided:
     """The placer with the weights of a checkpoint; PoolError where the checkpoint is damaged."""
-    try:
-        network = StabilityNetConfig(**checkpoint.trained.network)
-    except TypeError as error:
-        raise PoolError(
-            f"{checkpoint.path / 'record.json'} does not say what network it holds ({error})",
-            hint="a policy that `cluttergen train --variant guided` of this version left",
-        ) from error
+    network = checkpoint.sizes(StabilityNetConfig)
+    params = read_policy(checkpoint.path, blank_params(network))
     is_robust = rules.physics.config.robust_tilt > 0
-    placer = replace(make_guided(rules, network), is_robust=is_robust)
-    return replace(placer, params=read_policy(checkpoint.path, blank_params(network)))
+    return replace(make_guided(rules, network, params), is_robust=is_robust)

@@ -10,7 +10,7 @@ import re
 import shutil
 import zipfile
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -187,6 +187,12 @@ def _from_bytes(array: np.ndarray) -> np.ndarray:
         return array
     low, high = array.astype(np.uint16)
     return (low | high << 8).view(np.float16)
+
+
+def blank(init: Callable[..., Any], *arguments: Any) -> Any:
+    """Zeros in place of the weights that `init` would make of these arguments."""
+    shapes = jax.eval_shape(init, *arguments)
+    return jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
 
 
 def read_policy(path: Path, like: Any) -> Any:

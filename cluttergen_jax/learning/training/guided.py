@@ -45,12 +45,10 @@ from cluttergen_jax.learning.training.worlds import (
     variants,
 )
 from cluttergen_jax.numerics import new_key
+from cluttergen_jax.placement import Candidates, LowestFit, Rules
 from cluttergen_jax.placement.config import MIN_MARGIN, PlacementConfig, placement_record
-from cluttergen_jax.placement.methods.baselines import LowestFit
 from cluttergen_jax.placement.region import action_scale
-from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.search.candidate_sampler import CandidateSet
-from cluttergen_jax.placement.search.fit import Candidates
 from cluttergen_jax.placement.types import Episode, Transition
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.schema import Numbers, check_numbers

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,8 @@ import numpy as np
 import optax
 from flax import struct
 
+from cluttergen_jax.assets import join_meshes
 from cluttergen_jax.assets.cloud import farthest_first, sample_surface
-from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.assets.modeller.catalog import FAMILIES, make_shape
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.networks.actor_critic import PointNet
@@ -23,7 +23,6 @@ from cluttergen_jax.learning.networks.cloud_encoder import CloudNet, first_centr
 from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.ppo.checkpoint import read_record, save_policy
 from cluttergen_jax.learning.training.run_folder import (
-    SAVE_EVERY,
     Call,
     Interrupt,
     RunFolder,
@@ -34,20 +33,12 @@ from cluttergen_jax.numerics import new_key
 from cluttergen_jax.progress import track
 from cluttergen_jax.types import Array
 
-
-@dataclass(frozen=True)
-class AugmentConfig:
-    """How clouds are varied while learning. Every one is turned about z by any angle.
-
-    Attributes:
-      scale: each axis is stretched by 1 - scale to 1 + scale.
-      jitter: standard deviation of what is added to each coordinate, in units of the object's radius.
-      hole: a ball of up to this radius, in units of the object's, is cut out around one of the points.
-    """
-
-    scale: float = 0.15
-    jitter: float = 0.01
-    hole: float = 0.4
+_STRETCH = 0.15
+"""Each axis of a cloud that is learned from is stretched by 1 - this to 1 + this."""
+_JITTER = 0.01
+"""Standard deviation of what is added to each coordinate, in units of the object's radius."""
+_HOLE = 0.4
+"""A ball of up to this radius, in units of the object's, is cut out around one of the points."""
 
 
 class Classifier(nn.Module):
@@ -93,13 +84,11 @@ class ClassifierTrainer:
       model: the classifier.
       num_steps: of the whole run; the rate falls to zero over them.
       learning_rate: of Adam, at first.
-      augment: how clouds are varied.
     """
 
     model: Classifier
     num_steps: int
     learning_rate: float = 1e-3
-    augment: AugmentConfig = field(default_factory=AugmentConfig)
 
     def _optimizer(self) -> optax.GradientTransformation:
         rate = optax.cosine_decay_schedule(self.learning_rate, self.num_steps)
@@ -120,8 +109,7 @@ class ClassifierTrainer:
         self, state: ClassifierState, cloud: Array, label: Array, key: Array
     ) -> tuple[ClassifierState, Array, Array]:
         """One gradient step on clouds f32[B, P, 3] with labels i32[B]: the new state, loss and accuracy."""
-        vary = jax.vmap(lambda cloud, key: augment(cloud, key, self.augment))
-        cloud, mask = vary(cloud, jax.random.split(key, len(cloud)))
+        cloud, mask = jax.vmap(augment)(cloud, jax.random.split(key, len(cloud)))
 
         def loss_of(params: Any) -> tuple[Array, Array]:
             logits = self.logits(params, cloud, mask)
@@ -134,18 +122,16 @@ class ClassifierTrainer:
         return ClassifierState(params, optimizer, state.step + 1), loss, accuracy
 
 
-def augment(cloud: Array, key: Array, config: AugmentConfig) -> tuple[Array, Array]:
-    """A cloud f32[P, 3] varied, and bool[P]: the points that are left of it."""
+def augment(cloud: Array, key: Array) -> tuple[Array, Array]:
+    """A cloud f32[P, 3] varied and turned about z, and bool[P]: the points that are left of it."""
     key_scale, key_turn, key_jitter, key_where, key_hole = jax.random.split(key, 5)
-    cloud = cloud * jax.random.uniform(
-        key_scale, (3,), minval=1 - config.scale, maxval=1 + config.scale
-    )
+    cloud = cloud * jax.random.uniform(key_scale, (3,), minval=1 - _STRETCH, maxval=1 + _STRETCH)
     cloud = rotate_about_z(cloud, jax.random.uniform(key_turn, maxval=2 * jnp.pi))
     radius = jnp.max(jnp.linalg.norm(cloud, axis=-1))
     centre = cloud[jax.random.randint(key_where, (), 0, len(cloud))]
-    hole = radius * jax.random.uniform(key_hole, maxval=config.hole)
+    hole = radius * jax.random.uniform(key_hole, maxval=_HOLE)
     mask = jnp.linalg.norm(cloud - centre, axis=-1) >= hole
-    cloud = cloud + radius * config.jitter * jax.random.normal(key_jitter, cloud.shape)
+    cloud = cloud + radius * _JITTER * jax.random.normal(key_jitter, cloud.shape)
     # A small thing may lie in the ball whole.
     return cloud, mask | ~jnp.any(mask)
 
@@ -205,7 +191,6 @@ class PretrainConfig:
       num_shapes, num_held_out: objects of each family to learn from and to test with; none is in both.
       num_epochs, batch_size, learning_rate: of the optimisation.
       seed: of shapes, weights and their order.
-      save_every: seconds between checkpoints.
     """
 
     network: NetworkConfig
@@ -216,7 +201,6 @@ class PretrainConfig:
     batch_size: int = 32
     learning_rate: float = 1e-3
     seed: int = 0
-    save_every: float = SAVE_EVERY
 
     def __post_init__(self) -> None:
         for name in ("num_shapes", "num_held_out", "num_epochs", "batch_size", "learning_rate"):
@@ -309,7 +293,7 @@ class Pretraining:
             state, loss, accuracy = call(compiled, state, clouds, shapes.label[index], key)
             return state, f"loss {float(loss):.3f} accuracy {float(accuracy):.2f}"
 
-        return self._run.learn(state, config.num_steps, step, interrupt, config.save_every)
+        return self._run.learn(state, config.num_steps, step, interrupt)
 
     def _accuracy(self, state: ClassifierState) -> float:
         """The share of shapes never learned from that are recognised, each turned about z at random."""

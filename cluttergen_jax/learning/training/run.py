@@ -34,7 +34,7 @@ from cluttergen_jax.learning.ppo.sharding import (
     with_keys,
     without_keys,
 )
-from cluttergen_jax.learning.training.run_folder import Interrupt, RunFolder
+from cluttergen_jax.learning.training.run_folder import SAVE_EVERY, Interrupt, RunFolder
 from cluttergen_jax.learning.training.run_logger import (
     Evaluate,
     Evaluation,
@@ -47,11 +47,10 @@ from cluttergen_jax.learning.training.run_logger import (
 )
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.physics import make_physics
+from cluttergen_jax.placement import Problem, Proposer, Rules
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.methods.table import make_proposer
-from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, Rollout
-from cluttergen_jax.placement.rules import Proposer, Rules
 from cluttergen_jax.statistics import wilson
 from cluttergen_jax.types import Array
 
@@ -277,7 +276,7 @@ class Run:
         logger.begin()
         while number < total:
             wanted = num_updates(seconds, self._until_mark(number), config.longest_call)
-            is_due = time.monotonic() - saved > config.save_every
+            is_due = time.monotonic() - saved > SAVE_EVERY
             asked = agree(wanted, interrupt.is_asked, is_due)
             if asked[:, 1].any():
                 break

@@ -155,9 +155,8 @@ class RunFolder:
         num_steps: int,
         step: Callable[[Call, int, State], tuple[State, str]],
         interrupt: Interrupt,
-        save_every: float = SAVE_EVERY,
     ) -> State:
-        """Makes the steps that are left; the state, which is stored every `save_every` seconds and last.
+        """Makes the steps that are left; the state, which is stored every minute and last.
 
         Args:
           step: given how to call what is compiled, the number of the step and the state: the next state, and
@@ -175,7 +174,7 @@ class RunFolder:
                 call = interrupt.run_compiling if number == first else _call
                 state, note = step(call, number, state)
                 progress.update(note=note)
-                if time.monotonic() - saved > save_every:
+                if time.monotonic() - saved > SAVE_EVERY:
                     self.save(state)
                     saved = time.monotonic()
         self.save(state)

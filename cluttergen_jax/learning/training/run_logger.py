@@ -19,7 +19,7 @@ from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
 from cluttergen_jax.learning.ppo.ppo import PPOConfig, TrainState
-from cluttergen_jax.learning.training.run_folder import SAVE_EVERY, RunFolder
+from cluttergen_jax.learning.training.run_folder import RunFolder
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.schema import Record
 
@@ -240,7 +240,6 @@ class RunConfig:
 
     Attributes:
       seed: of weights, episodes and actions.
-      save_every: seconds between checkpoints.
       window: updates over which the success that decides on "best" is averaged; also the most updates that
         are made in one compiled call.
       longest_call: seconds that such a call may take, if it makes more than one update.
@@ -250,7 +249,6 @@ class RunConfig:
     """
 
     seed: int = 0
-    save_every: float = SAVE_EVERY
     window: int = 10
     longest_call: float = 4.0
     eval_every: int = 0

@@ -12,7 +12,7 @@ from pathlib import Path
 import jax
 from tqdm import tqdm
 
-from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets import find_pool
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.learning.ppo.checkpoint import has_state, read_record
 from cluttergen_jax.learning.training.presets import make_settings, paper

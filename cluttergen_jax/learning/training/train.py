@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
-from cluttergen_jax.assets.pool import find_pool, public_name
+from cluttergen_jax.assets import find_pool, public_name
 from cluttergen_jax.config import EvalAction, Preset, stability_record
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
 from cluttergen_jax.learning.networks.config import KIND
@@ -194,7 +194,7 @@ def _run(
         )
     )
     folder = RunFolder(config.folder, recipe_of(config, settings))
-    say = show if is_writer() else _say_nothing
+    say = show if is_writer() else lambda text: None
     say(f"run        {config.folder}")
     is_sampled = config.eval_action != "mean"
     evaluate = Evaluator(problem, settings.network, config.eval_episodes, is_sampled, config.seed)
@@ -235,7 +235,3 @@ def recipe_of(config: TrainConfig, settings: Settings) -> Record:
         "versions": versions(),
         "kind": KIND,
     }
-
-
-def _say_nothing(text: str) -> None:
-    del text

@@ -10,10 +10,9 @@ from typing import cast
 
 import numpy as np
 
+from cluttergen_jax.assets import ObjectAsset, find_support
 from cluttergen_jax.assets.body import BodyConfig, make_object
 from cluttergen_jax.assets.modeller.catalog import FAMILIES, make_shape
-from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import AssetError, ClutterGenError, ConfigError, PoolError, range_text
 from cluttergen_jax.importing import cache
@@ -21,10 +20,8 @@ from cluttergen_jax.importing.processes import run_all
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import BatchEngine, NumberedEngines, Physics
 from cluttergen_jax.physics.log import silent_log
-from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.heightmap import HeightMapper
+from cluttergen_jax.placement import HeightMapper, PlacementConfig, Rules
 from cluttergen_jax.placement.problem import check_number, region_of
-from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.world import (
     NUM_COLUMN_SAMPLES,
     World,
@@ -217,7 +214,6 @@ class WorldMaker:
     Args:
       sets: K objects each.
       placement: what is asked of episodes; the number of objects is the setting's.
-      contact: of the simulations.
 
     Raises:
       ConfigError: there is no set, or they differ in size.
@@ -226,15 +222,13 @@ class WorldMaker:
     def __init__(
         self,
         sets: Sequence[Sequence[ObjectAsset]],
-        placement: PlacementConfig | None = None,
-        contact: ContactConfig | None = None,
+        placement: PlacementConfig,
     ) -> None:
         sizes = sorted({len(each) for each in sets})
         if len(sizes) != 1 or not sizes[0]:
             raise ConfigError(f"sets of {sizes} objects", "sets of one size", "`object_sets`")
         self.sets = tuple(tuple(each) for each in sets)
-        self.placement = placement or PlacementConfig(history_stride=0)
-        self.contact = contact or ContactConfig()
+        self.placement = placement
         self._physics: dict[StabilityConfig, tuple[NumberedEngines, Physics]] = {}
         objects = list(dict.fromkeys(asset for each in self.sets for asset in each))
         self.radius = max(float(np.linalg.norm(asset.half_extents[:2])) for asset in objects)
@@ -262,7 +256,7 @@ class WorldMaker:
             engines = NumberedEngines(len(objects), stability)
             self._physics[stability] = engines, engines.with_number(np.int32(0))
         engines, physics = self._physics[stability]
-        world = make_world(objects, support, stability, self.contact, self._columns.__getitem__)
+        world = make_world(objects, support, stability, ContactConfig(), self._columns.__getitem__)
         rules = Rules(
             config=replace(self.placement, num_objects=setting.num_objects),
             physics=physics,
