@@ -338,7 +338,7 @@ class FitRun(ABC):
 
     def _is_done(self) -> bool:
         """Whether the folder holds this run's checkpoint, which is written last."""
-        record = self._kept.policy_record(self.kind)
+        record = self._kept.record(self.kind)
         recipe = json.loads(json.dumps(self.recipe))
         return bool(record) and {name: record.get(name) for name in recipe} == recipe
 

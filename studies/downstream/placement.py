@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from cluttergen_jax.downstream.placer.checkpoint import embedded_placers
 from cluttergen_jax.downstream.placer.evaluate import (
     PlacerComparison,
     PlacerTrials,
@@ -15,6 +14,7 @@ from cluttergen_jax.downstream.placer.evaluate import (
     tables_of,
 )
 from cluttergen_jax.downstream.placer.proposers import BASELINES, FULL_STATE
+from cluttergen_jax.downstream.placer.scored import embedded_placers
 from cluttergen_jax.tables import Table
 from studies.downstream.suite_folder import NOISES, SETS, PlacementSet, SuiteFolder
 from studies.downstream.trained import Variant, group_by_seed, rows_of, table_of

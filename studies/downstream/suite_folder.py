@@ -13,7 +13,8 @@ from cluttergen_jax.downstream.perception.pose.icp import need_gicp
 from cluttergen_jax.downstream.placer.api import placer_data
 from cluttergen_jax.downstream.placer.evaluate import PlacerTrials
 from cluttergen_jax.downstream.placer.pairs import PairSet
-from cluttergen_jax.downstream.placer.training import ExampleSource, PlacerTraining, head_of_name
+from cluttergen_jax.downstream.placer.scored import head_of_name
+from cluttergen_jax.downstream.placer.training import ExampleSource, PlacerTraining
 from cluttergen_jax.downstream.robot.description import find_robot
 from cluttergen_jax.downstream.words import MAX_PAIRS, PlacerHead, PlacerNoise, SensedFrom
 from cluttergen_jax.errors import ConfigError, closest

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cluttergen_jax.downstream.placer.checkpoint import embedded_placers
 from cluttergen_jax.downstream.placer.evaluate import (
     MAIN,
     NOTES,
@@ -17,6 +16,7 @@ from cluttergen_jax.downstream.placer.evaluate import (
     main_cells,
     with_interval,
 )
+from cluttergen_jax.downstream.placer.scored import embedded_placers
 from cluttergen_jax.downstream.placer.training import TESTING
 from cluttergen_jax.statistics import wilson
 from cluttergen_jax.tables import Table

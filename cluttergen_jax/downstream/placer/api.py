@@ -242,11 +242,8 @@ def placer_train(
       KeyboardInterrupt: on Ctrl-C, once everything is saved.
     """
     from cluttergen_jax.downstream.fitting import FitConfig
-    from cluttergen_jax.downstream.placer.training import (
-        ExampleSource,
-        PlacerTraining,
-        head_of_name,
-    )
+    from cluttergen_jax.downstream.placer.scored import head_of_name
+    from cluttergen_jax.downstream.placer.training import ExampleSource, PlacerTraining
     from cluttergen_jax.learning import hold_run
 
     check_range("seed", seed, 0, 2**32 - 1, 0)

@@ -13,7 +13,6 @@ import numpy as np
 
 from cluttergen_jax.downstream.digests import json_digest
 from cluttergen_jax.downstream.placer.bench import Bench, Chains, ProposalOutcomes
-from cluttergen_jax.downstream.placer.checkpoint import placer_folder
 from cluttergen_jax.downstream.placer.map_from_depth import check_cameras
 from cluttergen_jax.downstream.placer.pairs import (
     PairLabels,
@@ -29,6 +28,7 @@ from cluttergen_jax.downstream.placer.query import (
     Placer,
     PlainPlacer,
 )
+from cluttergen_jax.downstream.placer.scored import placer_folder
 from cluttergen_jax.downstream.samples import SPLITS
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation import Store, json_bytes, versions

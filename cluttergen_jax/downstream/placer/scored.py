@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import Any, get_args
 
 import flax.linen as nn
 import jax
@@ -12,8 +13,12 @@ import numpy as np
 import optax
 from flax import struct
 
+from cluttergen_jax.downstream.fitting import blank_params, config_of, embedded_checkpoints
 from cluttergen_jax.downstream.placer.map_search import best_apart, draw
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, Example, PlacementQuery, Proposals
+from cluttergen_jax.downstream.words import PlacerHead
+from cluttergen_jax.errors import ConfigError, PoolError, closest
+from cluttergen_jax.learning import read_policy, read_record
 from cluttergen_jax.placement import (
     CLEARANCE,
     VOID,
@@ -426,3 +431,66 @@ class ScoredHead:
 
 def _crops(example: ScoredExample) -> Array:
     return crops_of(example.heights, example.ceilings, example.shape, example.pose)
+
+
+KIND = "placer"
+"""Of a checkpoint, as its record names it."""
+HEADS = get_args(PlacerHead)
+_HINT = "the folder `placer` of a run of `cluttergen placer train`"
+
+
+def head_of_name(head: str) -> ScoredHead:
+    """The untrained head of that name, of the usual sizes.
+
+    Raises:
+      ConfigError: there is no such head.
+    """
+    if head not in HEADS:
+        raise ConfigError(f"head {head!r}", ", ".join(HEADS), "head='scored'", closest(head, HEADS))
+    return ScoredHead()
+
+
+def embedded_placers() -> dict[str, Path]:
+    """The trained placers that come with the package, by the name of their head."""
+    return embedded_checkpoints("placers")
+
+
+def placer_folder(placer: str | Path) -> Path | None:
+    """Where a trained placer is: that of a name that comes with the package, a folder of its own, or a run's.
+
+    None if it is neither a name nor a folder.
+    """
+    if not str(placer):
+        return None
+    path = embedded_placers().get(str(placer), Path(placer))
+    inner = path / "placer"
+    if (inner / "record.json").is_file():
+        return inner
+    return path if path.is_dir() else None
+
+
+def load_placer(path: Path) -> ScoredPlacer:
+    """The placer in a folder.
+
+    Raises:
+      PoolError: there is none, it is damaged, of another kind or head, or of sizes that this version does
+        not know.
+    """
+    try:
+        record = read_record(path)
+    except PoolError as error:
+        raise PoolError(error.given, hint=_HINT) from error
+    kind = record.get("kind", "pose")
+    if kind != KIND:
+        raise PoolError(f"{path} holds a network of kind {kind!r}, and no placer", hint=_HINT)
+    if record.get("head") not in HEADS:
+        given = f"{path} holds a placer with the head {record.get('head')!r}"
+        raise PoolError(given, ", ".join(HEADS), _HINT)
+    hint = "a placer that `cluttergen placer train` of this version left"
+    head = ScoredHead(config_of(ScoredConfig, record, path, hint))
+    temperature = record.get("temperature", 1.0)
+    if not isinstance(temperature, int | float) or not 0 < temperature < 1e3:
+        raise PoolError(
+            f"{path / 'record.json'}: temperature {temperature!r}", "a positive number", _HINT
+        )
+    return head.placer(read_policy(path, blank_params(head)), float(temperature))

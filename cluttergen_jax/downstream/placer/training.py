@@ -20,7 +20,6 @@ from cluttergen_jax.downstream.fitting import (
     in_parts,
     num_examples,
 )
-from cluttergen_jax.downstream.placer.checkpoint import HEADS, KIND, REMOVED_HEADS, Head
 from cluttergen_jax.downstream.placer.pairs import (
     PairFilter,
     PairLabels,
@@ -30,8 +29,9 @@ from cluttergen_jax.downstream.placer.pairs import (
     read_pairs,
 )
 from cluttergen_jax.downstream.placer.query import Example, PlacementQuery, pad_map
+from cluttergen_jax.downstream.placer.scored import KIND, ScoredHead
 from cluttergen_jax.downstream.words import PlacerNoise
-from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning import Calibration, calibration, draw_calibration
 from cluttergen_jax.placement import UnderSide
 from cluttergen_jax.progress import Progress
@@ -82,7 +82,7 @@ class ExampleSource:
             "noise": self.noise,
             "seed": self.seed,
             "num_pairs": self.num_pairs,
-            **({} if self.held_out == "scenes" else {"held_out": self.held_out}),
+            "held_out": self.held_out,
         }
 
     def load(self, split: Literal["train", "val"]) -> Example:
@@ -185,20 +185,6 @@ def _pad_examples(
     return examples.replace(query=query.replace(**maps, under=wider))
 
 
-def head_of_name(head: str) -> Head:
-    """The untrained head of that name, of the usual sizes.
-
-    Raises:
-      ConfigError: there is no such head.
-    """
-    if head in REMOVED_HEADS:
-        given = f"head {head!r}, which was removed after version 0.1.0"
-        raise ConfigError(given, ", ".join(HEADS), "head='scored'")
-    if head not in HEADS:
-        raise ConfigError(f"head {head!r}", ", ".join(HEADS), "head='scored'", closest(head, HEADS))
-    return HEADS[head][0]()
-
-
 _TEMPERATURES = np.exp(np.linspace(np.log(0.25), np.log(4.0), 129))
 
 
@@ -233,7 +219,7 @@ class PlacerTraining(FitRun):
 
     def __init__(
         self,
-        head: Head,
+        head: ScoredHead,
         config: FitConfig,
         source: ExampleSource,
         folder: Path,
@@ -241,12 +227,7 @@ class PlacerTraining(FitRun):
     ) -> None:
         self.head = head
         self.source = source
-        recipe = {
-            "head": head.kind,
-            "data": source.record,
-            # Runs of version 0.1.0, whose other heads had some, go on.
-            "encoder_weights": "",
-        }
+        recipe = {"head": head.kind, "data": source.record}
         super().__init__(head, config, recipe, folder, show)
 
     def examples(self, split: Any) -> Any:
@@ -260,21 +241,16 @@ class PlacerTraining(FitRun):
 
     def save(self, state: FitState, held_out: Any) -> Path:
         temperature, found = self._calibrate(state.best, held_out)
-        validation = {"calibration": None if found is None else asdict(found)}
-        if found is not None:
-            self._show(f"validation {found}")
-            picture = self.folder / self.kind / "calibration.png"
-            picture.parent.mkdir(parents=True, exist_ok=True)
-            draw_calibration({"stands": found}, picture, "poses of the validation split")
+        self._show(f"validation {found}")
+        picture = self.folder / self.kind / "calibration.png"
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        draw_calibration({"stands": found}, picture, "poses of the validation split")
         # Last: a folder with a record is a run that is done.
-        return self.store(state, validation, temperature=temperature)
+        return self.store(state, {"calibration": asdict(found)}, temperature=temperature)
 
-    def _calibrate(self, params: Any, held_out: Any) -> tuple[float, Calibration | None]:
-        """The temperature of a head that tells chances, and how far they then hold."""
-        scores = getattr(self.head, "scores", None)
-        if scores is None:
-            return 1.0, None
-        score = jax.jit(scores)
+    def _calibrate(self, params: Any, held_out: Any) -> tuple[float, Calibration]:
+        """The temperature of the head's chances, and how far they then hold."""
+        score = jax.jit(self.head.scores)
         parts = [np.asarray(score(params, part)) for part in self.batches_of(held_out)]
         logits = np.concatenate(parts).ravel()
         stood = (held_out.verdict == int(Verdict.STABLE)).ravel()

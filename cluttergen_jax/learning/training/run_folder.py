@@ -144,8 +144,8 @@ class RunFolder:
         """Stores the state to go on from, with the recipe and more (OSError: it cannot be written)."""
         save_state(self._last, state, {**self.recipe, **more})
 
-    def policy_record(self, name: str = "policy") -> Record:
-        """The record of the weights stored in a folder of this name; empty where there are none."""
+    def record(self, name: str) -> Record:
+        """The record of the state or the weights in a folder of this name; empty where there are none."""
         folder = self.path / name
         return read_record(folder) if (folder / "record.json").exists() else {}
 

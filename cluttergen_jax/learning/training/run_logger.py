@@ -290,7 +290,7 @@ class RunLogger:
         # An evaluation is of the weights after so many updates; that of the present ones stays.
         evaluations = folder / "evaluations.csv"
         self._evaluations = MetricsLog(evaluations, first + 1, self._sinks, group="evaluation/")
-        self._best = float(kept.policy_record("best").get("success", -1.0))
+        self._best = float(kept.record("best").get("success", -1.0))
 
     def begin(self) -> None:
         """Updates begin now: what came before was compilation."""
@@ -335,11 +335,11 @@ class RunLogger:
     @property
     def num_evaluated(self) -> int:
         """Episodes of the stored policy's evaluation; 0 without one."""
-        return int(self._kept.policy_record().get("evaluation", {}).get("episodes", 0))
+        return int(self._kept.record("policy").get("evaluation", {}).get("episodes", 0))
 
     def complete_policy(self, state: TrainState) -> None:
         """Stores the weights of a whole run whose process ended before it did."""
-        if self._kept.policy_record().get("attempts") != int(state.num_updates) * self._batch:
+        if self._kept.record("policy").get("attempts") != int(state.num_updates) * self._batch:
             self.save_policy(state)
 
     def add_evaluation(self, state: TrainState, evaluation: Evaluation) -> None:
