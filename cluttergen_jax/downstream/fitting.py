@@ -26,6 +26,7 @@ from cluttergen_jax.learning import (
     MetricsLog,
     RunFolder,
     batch_of,
+    checkpoints_in,
     hold_run,
     save_policy,
     versions,
@@ -61,9 +62,7 @@ def blank_params(learner: Learner) -> Any:
 
 def embedded_checkpoints(name: str) -> dict[str, Path]:
     """The checkpoints that come with the package in a folder of this name, by their own names."""
-    root = embedded_root() / name
-    folders = sorted(root.iterdir()) if root.is_dir() else []
-    return {folder.name: folder for folder in folders if (folder / "record.json").is_file()}
+    return checkpoints_in(embedded_root() / name)
 
 
 def config_of(kind: Any, record: Mapping[str, Any], path: Path, hint: str) -> Any:

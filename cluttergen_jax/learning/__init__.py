@@ -12,6 +12,7 @@ if TYPE_CHECKING:
         sampler_of,
         with_history_of,
     )
+    from cluttergen_jax.learning.policies.embedded import checkpoints_in
     from cluttergen_jax.learning.ppo.checkpoint import (
         folder_hash,
         read_policy,
@@ -43,6 +44,7 @@ __getattr__, __all__ = offer(
             "sampler_of",
             "with_history_of",
         ),
+        "policies.embedded": ("checkpoints_in",),
         "ppo.checkpoint": (
             "folder_hash",
             "read_policy",

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
+from cluttergen_jax.downstream import fitting
 from cluttergen_jax.downstream.fitting import FitConfig
 from cluttergen_jax.downstream.placer import training
 from cluttergen_jax.downstream.placer.map_search import APART
@@ -196,17 +197,17 @@ def test_a_run_that_ends_while_its_picture_is_drawn_draws_it_when_it_goes_on(tmp
 def test_a_run_that_was_stopped_ends_as_one_that_was_not(runs, tmp_path, monkeypatch):
     whole = runs("scored")
     stopped = run(tmp_path / "stopped")
-    batch = PlacerTraining._batch
+    batch = fitting.batch_of
 
-    def stop(self, number, *sizes):
+    def stop(number, *sizes):
         if number == 3:
             import signal
 
             signal.raise_signal(signal.SIGINT)
-        return batch(self, number, *sizes)
+        return batch(number, *sizes)
 
     with monkeypatch.context() as patch:
-        patch.setattr(PlacerTraining, "_batch", stop)
+        patch.setattr(fitting, "batch_of", stop)
         with pytest.raises(KeyboardInterrupt):
             stopped.run()
     assert not (tmp_path / "stopped" / "placer").exists()

@@ -22,7 +22,7 @@ from cluttergen_jax.downstream.placer.map_from_depth import (
     depth_bytes,
     depth_of,
 )
-from cluttergen_jax.downstream.placer.map_search import draw, finalists, look
+from cluttergen_jax.downstream.placer.map_search import draw, finalists, join, look
 from cluttergen_jax.downstream.placer.pairs import (
     PAIRS,
     SCHEMA,
@@ -37,7 +37,6 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement import (
     CLEARANCE,
-    Candidates,
     Episode,
     HeightMap,
     LowestFit,
@@ -115,7 +114,7 @@ def _by_search(key: Array, true: LowestFit, episode: Episode) -> Array:
     scene = true.scene(episode)
     many = draw_candidates(key_many, episode.region, _SEARCH.num_candidates)
     few = draw_candidates(key_few, episode.region, _NUM_UNIFORM)
-    found = true.closely(scene, _concatenate(true.best(scene, many, _SEARCH.num_finalists), few))
+    found = true.closely(scene, join(true.best(scene, many, _SEARCH.num_finalists), few))
     height = found.scores.fit.rest + CLEARANCE
     pose = jnp.column_stack([found.candidates.xy, height, found.candidates.yaw])
     return pose[_choose(key_choice, found.cost, _NUM_TRUE)]
@@ -124,12 +123,8 @@ def _by_search(key: Array, true: LowestFit, episode: Episode) -> Array:
 def _by_map(key: Array, query: PlacementQuery, heights: HeightMap, number: int) -> Array:
     key_many, key_few, key_choice = jax.random.split(key, 3)
     best = finalists(key_many, query, heights, _SEARCH)
-    found = look(query, heights, _concatenate(best, draw(key_few, query, _NUM_UNIFORM)))
+    found = look(query, heights, join(best, draw(key_few, query, _NUM_UNIFORM)))
     return found.pose[_choose(key_choice, found.cost, number)]
-
-
-def _concatenate(first: Candidates, second: Candidates) -> Candidates:
-    return jax.tree.map(lambda *parts: jnp.concatenate(parts), first, second)
 
 
 def _random(key: Array, query: PlacementQuery) -> Array:

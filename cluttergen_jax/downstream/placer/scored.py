@@ -14,7 +14,7 @@ import optax
 from flax import struct
 
 from cluttergen_jax.downstream.fitting import blank_params, config_of, embedded_checkpoints
-from cluttergen_jax.downstream.placer.map_search import best_apart, draw
+from cluttergen_jax.downstream.placer.map_search import best_apart, draw, join
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, Example, PlacementQuery, Proposals
 from cluttergen_jax.downstream.words import PlacerHead
 from cluttergen_jax.errors import ConfigError, PoolError, closest
@@ -295,7 +295,7 @@ class ScoredPlacer(struct.PyTreeNode, eq=False):
         keys = jax.random.split(key, 3)
         shape = own_shape(query)
         many = cheapest(query, draw(keys[0], query, config.num_drawn), config.num_finalists)
-        first = concatenate_candidates(draw(keys[1], query, config.num_uniform), many)
+        first = join(draw(keys[1], query, config.num_uniform), many)
         pose = lower_candidates(query, first)
         logit = self.logits(query, shape, pose)
         best = jax.lax.top_k(logit, config.num_refined)[1]
@@ -330,11 +330,6 @@ def near(key: Array, query: PlacementQuery, candidates: Candidates, number: int)
     half = jnp.maximum(query.region_half_extents - _INSIDE, 0.0)
     xy = jnp.clip(candidates.xy + _STEP * noise[..., :2], -half, half)
     return Candidates(xy.reshape(-1, 2), (candidates.yaw + _TURN * noise[..., 2]).reshape(-1))
-
-
-def concatenate_candidates(*parts: Candidates) -> Candidates:
-    """All of them."""
-    return jax.tree.map(lambda *arrays: jnp.concatenate(arrays), *parts)
 
 
 def lower_candidates(query: PlacementQuery, candidates: Candidates) -> Array:

@@ -163,7 +163,7 @@ def concatenate_examples(parts: Sequence[Example]) -> Example:
     same = [
         _pad_examples(part, (int(shapes[0]), int(shapes[1])), columns, cells[0]) for part in parts
     ]
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *same)
+    return concatenate(same)
 
 
 def _pad_examples(
