@@ -17,7 +17,7 @@ import numpy as np
 import optax
 from flax import struct
 
-from cluttergen_jax.config import ROBUST_TILT, StabilityConfig, check_range
+from cluttergen_jax.config import ROBUST_TILT, StabilityConfig, check_positive, check_range
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.learning.policies.guided import (
@@ -341,9 +341,7 @@ class GuidedConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("num_rounds", "num_settings", "num_attempts", "num_episodes"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"{name} = {getattr(self, name)}", "1 or more")
+        check_positive(self, "num_rounds", "num_settings", "num_attempts", "num_episodes")
         for name in ("num_variants", "num_held_out"):
             if getattr(self, name) < SET_SIZE:
                 raise ConfigError(f"{name} = {getattr(self, name)}", f"{SET_SIZE} or more")
