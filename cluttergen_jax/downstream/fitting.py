@@ -21,8 +21,6 @@ from cluttergen_jax.assets import embedded_root
 from cluttergen_jax.config import check_positive
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning import (
-    Call,
-    Interrupt,
     MetricsLog,
     RunFolder,
     batch_of,
@@ -307,9 +305,7 @@ class FitRun(ABC):
                 "one batch or more",
             )
         fit = Fit(self.learner, self.config, batches * self.config.num_epochs)
-        with Interrupt() as interrupt:
-            state: FitState = self._kept.load(_start(fit))
-            state = self._learn(fit, state, examples, held_out, interrupt)
+        state = self._learn(fit, self._kept.load(_start(fit)), examples, held_out)
         if int(state.step) < fit.num_steps:
             raise KeyboardInterrupt
         folder = self.save(state, held_out)
@@ -341,26 +337,24 @@ class FitRun(ABC):
         recipe = json.loads(json.dumps(self.recipe))
         return bool(record) and {name: record.get(name) for name in recipe} == recipe
 
-    def _learn(
-        self, fit: Fit, state: FitState, examples: Any, held_out: Any, interrupt: Interrupt
-    ) -> FitState:
+    def _learn(self, fit: Fit, state: FitState, examples: Any, held_out: Any) -> FitState:
         batches = fit.num_steps // self.config.num_epochs
         log = MetricsLog(self.folder / "metrics.csv", int(state.step) // batches)
         seen: list[dict[str, Array]] = []
         note = ""
 
-        def step(call: Call, number: int, state: FitState) -> tuple[FitState, str]:
+        def step(number: int, state: FitState) -> tuple[FitState, str]:
             nonlocal note
             size = self.config.batch_size
             index = batch_of(number, size, num_examples(examples), self.config.seed)
-            state, parts = call(_step, fit, state, take(examples, np.sort(index)))
+            state, parts = _step(fit, state, take(examples, np.sort(index)))
             seen.append(parts)
             if (number + 1) % batches == 0:
                 state, note = self._end_epoch(fit, state, held_out, seen, log, number // batches)
                 seen.clear()
             return state, note
 
-        return self._kept.learn(state, fit.num_steps, step, interrupt)
+        return self._kept.learn(state, fit.num_steps, step)
 
     def _end_epoch(
         self,

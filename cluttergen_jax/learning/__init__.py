@@ -25,8 +25,6 @@ if TYPE_CHECKING:
         draw_calibration,
     )
     from cluttergen_jax.learning.training.run_folder import (
-        Call,
-        Interrupt,
         RunFolder,
         batch_of,
         hold_run,
@@ -53,8 +51,6 @@ __getattr__, __all__ = offer(
         ),
         "training.run_logger": ("MetricsLog",),
         "training.run_folder": (
-            "Call",
-            "Interrupt",
             "RunFolder",
             "batch_of",
             "hold_run",

@@ -32,8 +32,8 @@ def update(state: State, index: jax.Array) -> State:
 
 
 def learn(folder: RunFolder, interrupt: Interrupt) -> State:
-    def step(call, number, state):
-        return call(update, state, batch_of(number, 2, 6, 0)), f"step {number}"
+    def step(number, state):
+        return update(state, batch_of(number, 2, 6, 0)), f"step {number}"
 
     return folder.learn(folder.load(fresh()), NUM_STEPS, step, interrupt)
 

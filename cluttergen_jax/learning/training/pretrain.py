@@ -23,8 +23,6 @@ from cluttergen_jax.learning.networks.cloud_encoder import CloudNet, first_centr
 from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.ppo.checkpoint import read_record, save_policy
 from cluttergen_jax.learning.training.run_folder import (
-    Call,
-    Interrupt,
     RunFolder,
     batch_of,
     hold_run,
@@ -262,11 +260,10 @@ class Pretraining:
         """
         config = self.config
         points = self.config.network.object_points
-        with Interrupt() as interrupt:
-            state = self._start()
-            if int(state.step) < config.num_steps:
-                shapes = make_clouds(config.families, _seeds(config, False), points, "shapes")
-                state = self._learn(state, shapes, interrupt)
+        state = self._start()
+        if int(state.step) < config.num_steps:
+            shapes = make_clouds(config.families, _seeds(config, False), points, "shapes")
+            state = self._learn(state, shapes)
         if int(state.step) < config.num_steps:
             self._save(state, None)
             raise KeyboardInterrupt
@@ -280,20 +277,18 @@ class Pretraining:
         state: ClassifierState = self._run.load(start(new_key(self.config.seed), points))
         return state
 
-    def _learn(
-        self, state: ClassifierState, shapes: ShapeClouds, interrupt: Interrupt
-    ) -> ClassifierState:
+    def _learn(self, state: ClassifierState, shapes: ShapeClouds) -> ClassifierState:
         config = self.config
         compiled = jax.jit(self.fit.step, donate_argnums=0)
 
-        def step(call: Call, number: int, state: ClassifierState) -> tuple[ClassifierState, str]:
+        def step(number: int, state: ClassifierState) -> tuple[ClassifierState, str]:
             index = batch_of(number, config.batch_size, len(shapes.label), config.seed)
             key = jax.random.fold_in(new_key(config.seed + 1), number)
             clouds = shapes.cloud[index]
-            state, loss, accuracy = call(compiled, state, clouds, shapes.label[index], key)
+            state, loss, accuracy = compiled(state, clouds, shapes.label[index], key)
             return state, f"loss {float(loss):.3f} accuracy {float(accuracy):.2f}"
 
-        return self._run.learn(state, config.num_steps, step, interrupt)
+        return self._run.learn(state, config.num_steps, step)
 
     def _accuracy(self, state: ClassifierState) -> float:
         """The share of shapes never learned from that are recognised, each turned about z at random."""

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
@@ -102,8 +103,6 @@ class Stepped(Protocol):
 
 
 State = TypeVar("State", bound=Stepped)
-Call = Callable[..., Any]
-"""Calls a compiled function with arguments."""
 
 
 class RunFolder:
@@ -153,36 +152,32 @@ class RunFolder:
         self,
         state: State,
         num_steps: int,
-        step: Callable[[Call, int, State], tuple[State, str]],
-        interrupt: Interrupt,
+        step: Callable[[int, State], tuple[State, str]],
+        interrupt: Interrupt | None = None,
     ) -> State:
-        """Makes the steps that are left; the state, which is stored every minute and last.
+        """Makes the steps that are left, fewer on Ctrl-C; the state, which is stored every minute and last.
 
         Args:
-          step: given how to call what is compiled, the number of the step and the state: the next state, and
-            what to say.
-          interrupt: where it is asked for, the steps end early.
+          step: given its number and the state: the next state, and what to say.
+          interrupt: who asks for a stop, in place of Ctrl-C alone.
         """
         first = int(state.step)
         saved = time.monotonic()
-        with Progress("learning", num_steps, "step", kept=first) as progress:
-            progress.say(COMPILING)
-            for number in range(first, num_steps):
-                if interrupt.is_asked:
-                    break
-                # Before the first one there is nothing to save.
-                call = interrupt.run_compiling if number == first else _call
-                state, note = step(call, number, state)
-                progress.update(note=note)
-                if time.monotonic() - saved > SAVE_EVERY:
-                    self.save(state)
-                    saved = time.monotonic()
-        self.save(state)
+        with interrupt or Interrupt() as interrupt:
+            with Progress("learning", num_steps, "step", kept=first) as progress:
+                progress.say(COMPILING)
+                for number in range(first, num_steps):
+                    if interrupt.is_asked:
+                        break
+                    # The first one compiles, and before it there is nothing to save.
+                    call = partial(interrupt.run_compiling, step) if number == first else step
+                    state, note = call(number, state)
+                    progress.update(note=note)
+                    if time.monotonic() - saved > SAVE_EVERY:
+                        self.save(state)
+                        saved = time.monotonic()
+            self.save(state)
         return state
-
-
-def _call(function: Callable[..., T], *arguments: Any) -> T:
-    return function(*arguments)
 
 
 def batch_of(number: int, batch_size: int, num_examples: int, seed: int) -> np.ndarray:
