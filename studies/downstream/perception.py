@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.downstream.placer.evaluation.tables import Row, with_interval
+from cluttergen_jax.downstream.placer.evaluate import Row, with_interval
 from cluttergen_jax.statistics import proportion, share_row
 from cluttergen_jax.tables import Table
 from studies.downstream.suite_folder import SuiteFolder

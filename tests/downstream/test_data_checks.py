@@ -5,7 +5,7 @@ import json
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.placer.pairs.store import read_pairs
+from cluttergen_jax.downstream.placer.pairs import read_pairs
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.learning.ppo.ppo import PPOConfig
 from studies.downstream.suite_folder import DownstreamScale

@@ -23,7 +23,7 @@ from cluttergen_jax.downstream.perception.segmenter import (
 from cluttergen_jax.downstream.perception.types import FIRST_OBJECT, check_images
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
-from cluttergen_jax.learning.training.metrics_log import read_rows
+from cluttergen_jax.learning.training.run_logger import read_rows
 from studies.perception.scoring import confusion, intersection_over_union, iou_of, is_good
 from studies.perception.training import SegmenterTraining, _mirror, example_of, shrink_label
 from tests.helpers.perception import OBJECTS, POSES, TABLE, ByColour, drawn_view, overhead, view_of

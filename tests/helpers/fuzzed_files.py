@@ -19,15 +19,15 @@ import pyarrow.parquet as pq
 
 from cluttergen_jax.downstream.perception.finder import Certainty, read_certainty
 from cluttergen_jax.downstream.perception.frames import Frame, read_frame, write_frame
-from cluttergen_jax.downstream.placer.pairs.store import PAIRS, SCHEMA, labels_of, read_pairs
+from cluttergen_jax.downstream.placer.pairs import PAIRS, SCHEMA, labels_of, read_pairs
 from cluttergen_jax.downstream.robot.episode import EpisodeResult
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, read_grasps, write_grasps
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.evaluation.store import Store
-from cluttergen_jax.learning.networks.stability import NUM_FEATURES
+from cluttergen_jax.learning.policies.guided import NUM_FEATURES
+from cluttergen_jax.learning.training.guided import Examples
 from cluttergen_jax.learning.training.guided import _read as read_attempts
 from cluttergen_jax.learning.training.guided import _write as write_attempts
-from cluttergen_jax.learning.training.stability import Examples
 from cluttergen_jax.sensing.camera import Camera, intrinsics
 from cluttergen_jax.stores import RowStore
 from studies.perception.evaluate import write_certainty

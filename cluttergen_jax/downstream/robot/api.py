@@ -178,7 +178,7 @@ def robot_place(
     from cluttergen_jax import generate
     from cluttergen_jax.downstream.bank_scenes import bank_or_made, poses_of
     from cluttergen_jax.downstream.digests import folder_hash, json_digest
-    from cluttergen_jax.downstream.placer.heads.checkpoint import placer_folder
+    from cluttergen_jax.downstream.placer.scored import placer_folder
     from cluttergen_jax.downstream.robot.description import find_robot
     from cluttergen_jax.downstream.robot.film import check_films
     from cluttergen_jax.downstream.robot.places import CameraPlacer, SearchPlaces

@@ -12,7 +12,7 @@ import numpy as np
 from cluttergen_jax.assets import Rectangle
 from cluttergen_jax.downstream.bank_scenes import check_one_level
 from cluttergen_jax.downstream.noise import REALSENSE
-from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
+from cluttergen_jax.downstream.placer.map_from_depth import DepthView, QueryMaker
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes, ProposalJudge, world_pose
 from cluttergen_jax.downstream.placer.proposers import FullState, proposals_of
 from cluttergen_jax.downstream.placer.query import (
@@ -23,7 +23,6 @@ from cluttergen_jax.downstream.placer.query import (
     check_proposals,
     is_plain,
 )
-from cluttergen_jax.downstream.placer.scene_cameras import DepthView
 from cluttergen_jax.downstream.robot.cameras import above
 from cluttergen_jax.downstream.robot.motion.collision import (
     CELL,

@@ -1,4 +1,4 @@
-"""What pairs on disk must be: their record, and the rows of a block."""
+"""Pairs to learn stable placement from on disk: their record, the rows of a block, and how they are read."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ from cluttergen_jax.downstream.columns import (
     read_columns,
 )
 from cluttergen_jax.downstream.noise import NOISE_OFF, NoiseConfig
-from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker, SceneMaps
-from cluttergen_jax.downstream.placer.query import PlacementQuery
-from cluttergen_jax.downstream.placer.scene_cameras import (
+from cluttergen_jax.downstream.placer.map_from_depth import (
     DepthView,
+    QueryMaker,
     SceneCameras,
+    SceneMaps,
     check_cameras,
     depth_of,
 )
+from cluttergen_jax.downstream.placer.query import PlacementQuery
 from cluttergen_jax.downstream.samples import SPLITS, SampleFormat, SampleSet
 from cluttergen_jax.downstream.words import MAX_PAIRS
 from cluttergen_jax.errors import BankError, ConfigError
@@ -138,7 +139,7 @@ class PairLabels(NamedTuple):
       order: i32[P, N], the objects that stand, then the one to be placed, then -1.
       poses: f32[P, N, 7], T_region_object of those that stand; the identity elsewhere.
       target: f32[P, 7], T_region_object where the scene's own object rests.
-      candidate: f32[P, 32, 4], x, y, z and yaw of T_region_object; source: u8[P, 32], of `candidate_draw`.
+      candidate: f32[P, 32, 4], x, y, z and yaw of T_region_object; source: u8[P, 32], of `pair_maker`.
       verdict: u8[P, 32], `types.Verdict` of each.
       unseen: f32[P], share of the region's cells in which something may be hidden from the query.
     """
