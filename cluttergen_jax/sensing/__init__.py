@@ -20,6 +20,7 @@ from cluttergen_jax.sensing.rays import (
     Instance,
     InstanceSensor,
     RaySensor,
+    View,
     cast_rays,
     sensed_model,
 )
@@ -37,6 +38,7 @@ __all__ = [
     "InstanceSensor",
     "PartialMap",
     "RaySensor",
+    "View",
     "cast_rays",
     "find_preset",
     "free",

@@ -39,10 +39,9 @@ from cluttergen_jax.kept_folder import FolderLock
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.rendering.variation import TEXTURES_OF
 from cluttergen_jax.schema import SchemaError, convert, parse_json
-from cluttergen_jax.sensing import Camera, CameraPlan, Instance, free, realsense_focal
+from cluttergen_jax.sensing import Camera, CameraPlan, Instance, View, free, realsense_focal
 from cluttergen_jax.views.images import depth_png, png_of
-from cluttergen_jax.views.maker import ViewMaker
-from cluttergen_jax.views.view import SeenScene, View
+from cluttergen_jax.views.maker import SeenScene, ViewMaker
 
 SPLIT = "train_synt"
 """Training images, synthetic."""

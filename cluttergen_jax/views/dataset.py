@@ -30,7 +30,7 @@ from cluttergen_jax.schema import digest_of
 from cluttergen_jax.sensing import CameraPlan
 from cluttergen_jax.statistics import share_out
 from cluttergen_jax.views.bop import BopConfig, BopScenes
-from cluttergen_jax.views.maker import ViewMaker
+from cluttergen_jax.views.maker import SeenScene, ViewMaker
 from cluttergen_jax.views.shards import (
     SCENES_PER_SHARD,
     VIEWS,
@@ -40,7 +40,6 @@ from cluttergen_jax.views.shards import (
     row_of,
     shard_name,
 )
-from cluttergen_jax.views.view import SeenScene
 
 _SPLIT_DRAW = 11
 # Metres beside the region, and above and below the top: what light and shadows are made for.

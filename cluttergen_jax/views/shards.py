@@ -20,10 +20,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from cluttergen_jax.schema import digest_of
-from cluttergen_jax.sensing import Instance
+from cluttergen_jax.sensing import Instance, View
 from cluttergen_jax.stores import BlockStore
 from cluttergen_jax.views.images import depth_png, label_image, png_of
-from cluttergen_jax.views.view import SeenScene, View
+from cluttergen_jax.views.maker import SeenScene
 
 ShardForm = Literal["parquet", "webdataset"]
 ENDINGS: dict[ShardForm, str] = {"parquet": "parquet", "webdataset": "tar"}

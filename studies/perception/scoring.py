@@ -14,7 +14,7 @@ from cluttergen_jax.downstream.perception.finder import SceneFinder
 from cluttergen_jax.downstream.perception.object_model import Comparer, ObjectModel
 from cluttergen_jax.downstream.perception.types import FIRST_OBJECT, num_classes
 from cluttergen_jax.downstream.transforms import matrix_of, offset
-from cluttergen_jax.views import View
+from cluttergen_jax.sensing import View
 from studies.perception.view_store import StoredView, simulate_camera
 
 VISIBLE_PIXELS = 150

@@ -32,8 +32,8 @@ from cluttergen_jax.downstream.perception.segmenter import (
 from cluttergen_jax.downstream.perception.types import BACKGROUND, FIRST_OBJECT
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.progress import Progress
+from cluttergen_jax.sensing import View
 from cluttergen_jax.types import Array
-from cluttergen_jax.views import View
 from studies.perception.scoring import intersection_over_union
 from studies.perception.view_maker import VIEWS_A_SCENE
 from studies.perception.view_store import StoredView, ViewSet, read_views, simulate_camera

@@ -30,9 +30,9 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.rendering import HIDDEN_GROUP, TEXTURES_OF, PictureConfig, add_lighting
 from cluttergen_jax.scene import Bank, Scene
-from cluttergen_jax.sensing import Camera, free
+from cluttergen_jax.sensing import Camera, View, free
 from cluttergen_jax.statistics import is_of_share
-from cluttergen_jax.views import View, ViewMaker
+from cluttergen_jax.views import ViewMaker
 from studies.perception.view_store import (
     SCHEMA,
     VIEWS,

@@ -21,8 +21,8 @@ from cluttergen_jax.downstream.words import MAX_VIEWS
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.scene import Bank
 from cluttergen_jax.schema import Numbers, refuse
-from cluttergen_jax.sensing import Camera
-from cluttergen_jax.views import TENTH_OF_A_MILLIMETRE, View, depth_levels, depth_of
+from cluttergen_jax.sensing import Camera, View
+from cluttergen_jax.views import TENTH_OF_A_MILLIMETRE, depth_levels
 
 
 class ViewSplit(msgspec.Struct):
@@ -208,7 +208,8 @@ def _view_of(row: dict[str, Any]) -> StoredView:
         np.array(row["T_world_camera"]).reshape(4, 4),
     )
     levels = np.frombuffer(row["depth"], "<u2").reshape(shape)
-    depth = depth_of(levels, TENTHS_A_METRE)
+    metres = levels / np.float32(TENTHS_A_METRE)
+    depth = np.where(levels > 0, metres, np.inf).astype(np.float32)
     rgb = np.frombuffer(row["rgb"], np.uint8).reshape(*shape, 3)
     label = np.frombuffer(row["label"], np.uint8).reshape(shape)
     poses = np.array(row["poses"], np.float64).reshape(-1, 7)

@@ -7,7 +7,7 @@ from cluttergen_jax.downstream.perception.corrections import correct_masks, find
 from cluttergen_jax.downstream.perception.object_model import ObjectModel, render_alone
 from cluttergen_jax.downstream.perception.types import ARM, BACKGROUND, FIRST_OBJECT
 from cluttergen_jax.downstream.transforms import matrix_of
-from cluttergen_jax.views.view import View
+from cluttergen_jax.sensing import View
 from tests.helpers.perception import OBJECTS, POSES, TABLE, overhead, view_of
 
 RED, GREEN, BLUE = (FIRST_OBJECT + k for k in range(3))

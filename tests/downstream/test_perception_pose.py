@@ -22,8 +22,8 @@ from cluttergen_jax.downstream.perception.registration import RegistrationEstima
 from cluttergen_jax.downstream.robot.cameras import FOCAL, SIZE
 from cluttergen_jax.downstream.transforms import matrix_of, offset, turn_matrix
 from cluttergen_jax.errors import PoolError
+from cluttergen_jax.sensing import View
 from cluttergen_jax.sensing.camera import Camera
-from cluttergen_jax.views.view import View
 from studies.perception.evaluate import fit_certainty, reliability, write_certainty
 from tests.helpers.perception import OBJECTS, POSES, TABLE, ByColour, overhead, standing, view_of
 from tests.helpers.placing import with_surface

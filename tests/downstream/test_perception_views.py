@@ -9,7 +9,7 @@ from cluttergen_jax.downstream.perception.frames import Frame, read_frame, write
 from cluttergen_jax.downstream.perception.types import ARM, FIRST_OBJECT
 from cluttergen_jax.downstream.robot.cameras import SIZE
 from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.views.view import View
+from cluttergen_jax.sensing import View
 from studies.perception import view_store as stored
 from studies.perception.view_maker import PerceptionViewConfig, PerceptionViews, write_views
 from studies.perception.view_store import VIEWS, row_of

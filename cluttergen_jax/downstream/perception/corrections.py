@@ -31,7 +31,7 @@ from cluttergen_jax.downstream.perception.object_model import (
 from cluttergen_jax.downstream.perception.registration import FEWEST_PIXELS, SURE
 from cluttergen_jax.downstream.perception.types import ARM, BACKGROUND, FIRST_OBJECT
 from cluttergen_jax.geometry import yaw_matrix
-from cluttergen_jax.views import View
+from cluttergen_jax.sensing import View
 
 LEAST_SHARE = 0.6
 """Of the pixels of an object that should be seen: so many have to have its depth for it to count as there."""

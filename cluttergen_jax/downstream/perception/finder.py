@@ -37,8 +37,7 @@ from cluttergen_jax.downstream.perception.types import (
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.schema import checked_record, convert
-from cluttergen_jax.sensing import Camera, Grid, level_camera
-from cluttergen_jax.views import View
+from cluttergen_jax.sensing import Camera, Grid, View, level_camera
 
 CERTAINTY_FILE = "certainty.json"
 FEATURES = ("bias", "score", "gap", "lead", "visible", "pixels", "steady")

@@ -19,8 +19,7 @@ from scipy.spatial import cKDTree
 from cluttergen_jax.assets import ObjectAsset, turn_symmetry
 from cluttergen_jax.downstream.perception.types import BACKGROUND
 from cluttergen_jax.downstream.transforms import pose_of
-from cluttergen_jax.sensing import Camera, RaySensor, sensed_model
-from cluttergen_jax.views import View
+from cluttergen_jax.sensing import Camera, RaySensor, View, sensed_model
 
 NUM_POINTS = 3000
 NUM_DENSE = 60_000

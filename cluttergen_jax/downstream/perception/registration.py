@@ -26,7 +26,7 @@ from cluttergen_jax.downstream.transforms import (
 )
 from cluttergen_jax.errors import ConfigError, MissingExtraError, range_text
 from cluttergen_jax.geometry import rotation_matrix, yaw_matrix
-from cluttergen_jax.views import View
+from cluttergen_jax.sensing import View
 
 NUM_YAWS = 24
 _ICP_STEPS = 12

@@ -9,8 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.sensing import Camera
-from cluttergen_jax.views import View
+from cluttergen_jax.sensing import Camera, View
 
 # The table, the floor and all else; the robot; then object k of a pool as 2 + k.
 BACKGROUND = 0

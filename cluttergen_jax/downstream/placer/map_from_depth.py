@@ -25,7 +25,6 @@ from cluttergen_jax.sensing import (
     merge_maps,
     sensed_model,
 )
-from cluttergen_jax.views import depth_of as metres_of
 
 MANY = "free"
 """The preset that draws: only of it there is more than one camera."""
@@ -135,7 +134,8 @@ def check_cameras(num_cameras: int, preset: str) -> None:
 
 def depth_of(data: bytes, width: int, height: int) -> np.ndarray:
     """f32[H, W], metres, inf where nothing is, from a row's bytes."""
-    return metres_of(np.frombuffer(data, "<u2").reshape(height, width), MILLIMETRES)
+    whole = np.frombuffer(data, "<u2").reshape(height, width)
+    return np.where(whole > 0, whole / np.float32(MILLIMETRES), np.inf).astype(np.float32)
 
 
 def depth_bytes(depth: np.ndarray) -> bytes:

@@ -22,8 +22,7 @@ from cluttergen_jax.downstream.robot import (
     wrist_camera,
 )
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.sensing import Camera, CameraPlan
-from cluttergen_jax.views import View
+from cluttergen_jax.sensing import Camera, CameraPlan, View
 
 UNSURE = 0.5
 """Certainty below which another look is taken."""

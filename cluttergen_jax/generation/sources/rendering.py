@@ -30,8 +30,7 @@ from cluttergen_jax.scene.bank.reference import missing_text
 from cluttergen_jax.sensing.camera import REALSENSE_SIZE, Camera, CameraPlan
 from cluttergen_jax.views.bop import BopConfig, BopScenes
 from cluttergen_jax.views.images import camera_json, depth_png, npz_of, segmentation_png
-from cluttergen_jax.views.maker import ViewMaker
-from cluttergen_jax.views.view import SeenScene
+from cluttergen_jax.views.maker import SeenScene, ViewMaker
 
 _DRAWN = frozenset({"picture", "sheet", "turntable", "replay", "figure", "density"})
 """What is made of colours. Depth, labels and masks come from rays, point clouds from surfaces."""
