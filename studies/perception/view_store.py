@@ -12,11 +12,18 @@ import numpy as np
 import pyarrow as pa
 
 from cluttergen_jax.assets import ObjectAsset, SupportAsset, public_name
-from cluttergen_jax.downstream.columns import FAR, MOST_PIXELS, faults_of, lengths_of, read_columns
 from cluttergen_jax.downstream.digests import json_digest
 from cluttergen_jax.downstream.noise import NOISE_OFF, NoiseConfig, noisy
 from cluttergen_jax.downstream.perception.types import num_classes
-from cluttergen_jax.downstream.samples import SampleFormat, SampleSet
+from cluttergen_jax.downstream.samples import (
+    FAR,
+    MOST_PIXELS,
+    SampleFormat,
+    SampleSet,
+    faults_of,
+    lengths_of,
+    read_columns,
+)
 from cluttergen_jax.downstream.words import MAX_VIEWS
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.scene import Bank

@@ -14,14 +14,6 @@ import numpy as np
 import pyarrow as pa
 
 from cluttergen_jax.config import check_workers
-from cluttergen_jax.downstream.columns import (
-    FAR,
-    MOST_PIXELS,
-    faults_of,
-    lengths_of,
-    numbers_of,
-    read_columns,
-)
 from cluttergen_jax.downstream.noise import NOISE_OFF, NoiseConfig
 from cluttergen_jax.downstream.placer.map_from_depth import (
     DepthView,
@@ -32,7 +24,17 @@ from cluttergen_jax.downstream.placer.map_from_depth import (
     depth_of,
 )
 from cluttergen_jax.downstream.placer.query import PlacementQuery
-from cluttergen_jax.downstream.samples import SPLITS, SampleFormat, SampleSet
+from cluttergen_jax.downstream.samples import (
+    FAR,
+    MOST_PIXELS,
+    SPLITS,
+    SampleFormat,
+    SampleSet,
+    faults_of,
+    lengths_of,
+    numbers_of,
+    read_columns,
+)
 from cluttergen_jax.downstream.words import MAX_PAIRS
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.generation import setup_of
