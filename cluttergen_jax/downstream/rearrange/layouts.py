@@ -27,7 +27,7 @@ from cluttergen_jax.downstream.robot import (
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.downstream.words import LayoutRule
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation import embed, scene_distances
+from cluttergen_jax.evaluation import embed
 from cluttergen_jax.generation import make_sampler, setup_of
 from cluttergen_jax.geometry import transform_points
 from cluttergen_jax.learning import choose_method, sampler_of
@@ -202,7 +202,7 @@ def choose_unlike(
     if len(poses) <= number:
         return np.arange(len(poses))
     vectors = embed(objects, poses, np.ones(poses.shape[:2], bool), region, 0.0)
-    distances = scene_distances(vectors)
+    distances = cdist(vectors, vectors)
     # The one in the middle of all is the first.
     chosen = [int(distances.mean(1).argmin())]
     while len(chosen) < number:
