@@ -276,7 +276,6 @@ def _judge_all(
     if len(rows) == total:
         return rows
     estimator = finder.estimator
-    assert isinstance(estimator, RegistrationEstimator)
     models = [estimator.model(k) for k in range(len(views.names))]
     title = f"{cameras} cameras, noise {factor:g}"
     moments = islice(_moments(views, split, cameras, total), len(rows), None)

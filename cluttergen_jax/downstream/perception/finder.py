@@ -30,7 +30,6 @@ from cluttergen_jax.downstream.perception.types import (
     BACKGROUND,
     FIRST_OBJECT,
     PoseEstimate,
-    PoseEstimator,
     Segmenter,
     check_images,
 )
@@ -129,7 +128,7 @@ class SceneFinder:
 
     Args:
       objects: K, in the order of the segmenter's names. support: the table.
-      segmenter, estimator: any that obey the protocols.
+      segmenter: any that obeys the protocol. estimator: of the same objects, made here if not given.
       certainty: the rule that tells chances.
 
     Raises:
@@ -141,7 +140,7 @@ class SceneFinder:
         objects: Sequence[ObjectAsset],
         support: SupportAsset,
         segmenter: Segmenter,
-        estimator: PoseEstimator | None = None,
+        estimator: RegistrationEstimator | None = None,
         certainty: Certainty | None = None,
     ) -> None:
         names = tuple(asset.name for asset in objects)

@@ -245,7 +245,7 @@ class _Seen(NamedTuple):
 
 
 class RegistrationEstimator:
-    """Poses by registration and comparison; see `types.PoseEstimator`.
+    """Finds poses of its objects in looks at one moment, by registration and comparison.
 
     Args:
       objects: K, in the order of their numbers. support: the table that they stand on.
@@ -275,7 +275,11 @@ class RegistrationEstimator:
     def __call__(
         self, index: int, looks: Sequence[View], near: np.ndarray | None = None
     ) -> PoseEstimate | None:
-        """See `types.PoseEstimator`; where it was it is sought first."""
+        """The pose of the object of that number; None where too little of it is seen.
+
+        Args:
+          near: f64[7], T_world_object at which it was, if that is known; sought there first.
+        """
         model, free = self._load(index)
         points, eyes, num_pixels = seen_points(index, looks)
         if num_pixels < FEWEST_PIXELS or len(points) < FEWEST_PIXELS // 2:

@@ -1,4 +1,4 @@
-"""What perception is given and answers: classes of pixels, pictures, segmenters, pose estimators."""
+"""What perception is given and answers: classes of pixels, pictures, segmenters, poses."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.sensing import Camera, View
+from cluttergen_jax.sensing import Camera
 
 # The table, the floor and all else; the robot; then object k of a pool as 2 + k.
 BACKGROUND = 0
@@ -115,17 +115,3 @@ class PoseEstimate:
     lead: float
     visible: float
     num_pixels: int
-
-
-class PoseEstimator(Protocol):
-    """Finds the pose of one of its objects in looks at one moment."""
-
-    def __call__(
-        self, index: int, looks: Sequence[View], near: np.ndarray | None = None
-    ) -> PoseEstimate | None:
-        """The pose of the object of that number; None where too little of it is seen.
-
-        Args:
-          near: f64[7], T_world_object at which it was, if that is known; tried first.
-        """
-        ...
