@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
@@ -180,24 +179,18 @@ class DatasetPlan:
 
     def num_views(self) -> dict[str, int]:
         """Of each split."""
-        total = Counter[str]()
+        total = dict.fromkeys(self.shares, 0)
         for shard in self.shards:
-            total.update(
-                {
-                    split: len(some) * len(self.config.cameras)
-                    for split, some in shard.scenes.items()
-                }
-            )
-        return {split: total[split] for split in self.shares}
+            for split, some in shard.scenes.items():
+                total[split] += len(some) * len(self.config.cameras)
+        return total
 
     def recipe(self) -> dict[str, Any]:
         """What decides every view but which there are."""
         config = self.config
         return {
             "banks": list(map(_bank_record, self.banks)),
-            "cameras": [
-                _plain(asdict(plan)) | {"stored": repr(plan.stored)} for plan in config.cameras
-            ],
+            "cameras": [asdict(plan) | {"stored": repr(plan.stored)} for plan in config.cameras],
             "shares": self.shares,
             "seed": config.seed,
             "vary": list(config.vary),
@@ -215,10 +208,6 @@ def _bank_record(path: Path) -> dict[str, Any]:
     told = {"name": path.resolve().name, "recipe": bank.recipe}
     # Cameras of earlier versions stood about the middle of the support.
     return told if region_of(bank) == bank.support.region else told | {"cameras_about": "region"}
-
-
-def _plain(values: dict[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in values.items() if name != "stored"}
 
 
 def _splits_of(
@@ -387,11 +376,11 @@ def _make_shards(
     }
 
     def is_there(shard: Shard) -> bool:
-        return all(
-            is_whole_shard(out / name, form, len(some) * num_cameras, digests.get(name))
-            for split, some in shard.scenes.items()
-            for name in (names[shard, split],)
-        )
+        for split, some in shard.scenes.items():
+            name = names[shard, split]
+            if not is_whole_shard(out / name, form, len(some) * num_cameras, digests.get(name)):
+                return False
+        return True
 
     missing = [shard for shard in plan.shards if not is_there(shard)]
     total = sum(plan.num_views().values())
