@@ -17,11 +17,14 @@ from cluttergen_jax.spec import SceneSpec
 if TYPE_CHECKING:
     from cluttergen_jax.assets import Rectangle
     from cluttergen_jax.downstream.placer.query import Placer, PlainPlacer
-    from cluttergen_jax.downstream.robot.description import RobotDescription
-    from cluttergen_jax.downstream.robot.grasping.grasp_dataset import GraspDataset
-    from cluttergen_jax.downstream.robot.grasping.grasps import GraspSets
-    from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
-    from cluttergen_jax.downstream.robot.trials import RobotTrials
+    from cluttergen_jax.downstream.robot import (
+        GraspDataset,
+        GraspSets,
+        GraspSource,
+        PathPlanner,
+        RobotDescription,
+        RobotTrials,
+    )
 
 _MOST_GRASPS = 4096
 _MOST_SEED = 999_999
