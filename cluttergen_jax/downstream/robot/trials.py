@@ -226,7 +226,7 @@ def make_episodes(
       out: see `run_trials`.
     """
     filmed = None if out is None or films is None else Films(run, out / FILMS, films, title)
-    make = run if filmed is None else filmed.run
+    make: Callable[..., Any] = run if filmed is None else filmed.run
     if recorder is not None:
         recorder.complete(rows, again or run)
         make = partial(recorder.run, run=make)

@@ -134,7 +134,7 @@ def make_grasps(
         tests.append(verify_grasps(asset, batch, pool, robot))
         num_tested = num_tested + len(batch.width)
         missing = missing - int(tests[-1].is_held.sum())
-    result = GraspCheck(*map(np.concatenate, zip(_NO_TEST, *tests, strict=True)))
+    result = GraspCheck(*(np.concatenate(each) for each in zip(_NO_TEST, *tests, strict=True)))
     held = np.flatnonzero(result.is_held)
     chosen = held[spread(candidates.pose[held], min(number, len(held)), rng)]
     chosen = chosen[np.argsort(~candidates.is_low[chosen], kind="stable")]
