@@ -146,7 +146,6 @@ def rearrange(
       MissingExtraError: the extra `robot`, or `perception` or `viewer` where it is needed, is not installed.
       RendererError: pictures are asked for, and nothing here can draw.
     """
-    import os
     from dataclasses import replace
     from typing import Any
 
@@ -190,7 +189,6 @@ def rearrange(
         )
     options = RearrangeOptions(choose, layout, num_layouts, relook, order, one_grasp)
     name = "own" if told else setting
-    threads = num_threads or os.cpu_count() or 1
     with _person(choose, host, port, browser, show) if pick else nullcontext() as person:
         return run_rearrangements(
             replace(SETTINGS[setting], name=name),
@@ -200,7 +198,7 @@ def rearrange(
             Path(out) / name,
             pool=usual,
             observer=None if isinstance(looking, str) else looking,
-            num_threads=threads,
+            num_threads=num_threads,
             ask=person,
             films=film if films else None,
             sheets=show_layouts,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import sys
 from collections import Counter
@@ -320,7 +319,7 @@ class Starts:
         self._pool = pool
         self._planner = planner
         self._own = own or OwnScenes()
-        self._num_threads = num_threads or os.cpu_count() or 1
+        self._num_threads = num_threads
         self._find_grasps = GraspFinder(own_grasps, self._num_threads, robot)
         self._grasps: dict[str, Grasps] = {}
         self._symmetry = cache(turn_symmetry)

@@ -192,12 +192,12 @@ def grasps_of(
     """The grasps of objects one after another, from disk where they are kept, and made and kept where not.
 
     Args:
-      robot: whose hand it is; the Panda's if not given.
+      num_threads: 0 takes every core. robot: whose hand it is; the Panda's if not given.
     """
     robot = robot or find_robot()
     with (
         Progress("grasping", len(objects), "object") as progress,
-        Rollout(nthread=num_threads) as pool,
+        Rollout(nthread=num_threads or os.cpu_count() or 1) as pool,
     ):
         for asset in objects:
             path = grasp_file(asset, number, seed, robot)
@@ -350,19 +350,6 @@ def _row(grasps: Grasps) -> tuple[str, ...]:
     turn = np.degrees(np.median(grasps.turn))
     margin = np.median(grasps.margin)
     return (*counts, *(f"{each:.1f}" for each in (shift, slip, turn, margin)))
-
-
-def grasp_sets(
-    objects: Sequence[ObjectAsset],
-    number: int,
-    seed: int,
-    num_threads: int,
-    fresh: bool,
-    robot: RobotDescription,
-) -> GraspSets:
-    """The grasps of objects (`grasps.grasps_of`); 0 threads are as many as there are cores."""
-    threads = num_threads or os.cpu_count() or 1
-    return GraspSets(tuple(grasps_of(objects, number, seed, threads, fresh, robot)))
 
 
 _HINT = "{'mug': (poses, widths), ...}, or a file of `cluttergen robot grasps` with --out"
