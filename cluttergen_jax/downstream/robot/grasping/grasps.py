@@ -217,10 +217,9 @@ def write_grasps(path: Path, sets: Sequence[Grasps]) -> Path:
     rows = {
         "object": [each.name for each in sets for _ in each.width],
         "hash": [each.hash for each in sets for _ in each.width],
-        **{name: [row for each in sets for row in getattr(each, name).tolist()] for name in _POSES},
-        **{name: np.concatenate([getattr(each, name) for each in sets]) for name in _COLUMNS},
-        "is_low": np.concatenate([each.is_low for each in sets]),
     }
+    for name in (*_POSES, *_COLUMNS, "is_low"):
+        rows[name] = np.concatenate([getattr(each, name) for each in sets]).tolist()
     schema = pa.schema(
         [
             ("object", pa.string()),
