@@ -34,9 +34,9 @@ def check_choice(name: str, value: object, words: Any) -> None:
         raise ConfigError(f"{name} = {value!r}", ", ".join(get_args(words)))
 
 
-def check_factor(noise: object) -> None:
+def check_factor(noise: Any) -> None:
     """Refuses what is no factor of the usual noise (ConfigError)."""
-    if not (isinstance(noise, Real) and 0 <= noise <= MAX_NOISE):
+    if not (isinstance(noise, Real) and 0 <= float(noise) <= MAX_NOISE):
         raise ConfigError(f"noise = {noise!r}", f"0 to {MAX_NOISE:g}", "noise=1")
 
 

@@ -332,8 +332,8 @@ def test_an_unplanned_contact_stops_the_arm(kinematics):
     episode_world = EpisodeWorld(SCENE, TARGET, (), 0)
     start = next(kinematics.solutions(rigid(DOWN, np.array([0.15, 0.0, TOP + 0.15])), 1))
     run = episode_world.execution
-    run.follow(run.motion_along(np.linspace(kinematics.home, start, 20)), Phase.FREE)
+    run.follow(np.linspace(kinematics.home, start, 20), Phase.FREE)
     with pytest.raises(Failed) as told:
-        run.follow(run.motion_along(kinematics.line(start, np.array([0, 0, -0.12]))), Phase.FREE)
+        run.follow(kinematics.line(start, np.array([0, 0, -0.12])), Phase.FREE)
     assert told.value.outcome == Outcome.CONTACT
     assert "cube" in told.value.detail or "wall" in told.value.detail

@@ -146,9 +146,8 @@ def rearrange(
       MissingExtraError: the extra `robot`, or `perception` or `viewer` where it is needed, is not installed.
       RendererError: pictures are asked for, and nothing here can draw.
     """
-    import os
     from dataclasses import replace
-    from typing import Any, get_args
+    from typing import Any
 
     from cluttergen_jax.downstream.rearrange.task import SETTINGS, RearrangeOptions
     from cluttergen_jax.downstream.rearrange.trials import run_rearrangements
@@ -161,29 +160,18 @@ def rearrange(
     check_range("seed", seed, 0, _MOST_SEED, 0)
     if layout is not None:
         check_range("layout", layout, 0, num_layouts - 1, 0)
-    asked = (
-        ("setting", setting, Rearrangement),
-        ("choose", choose, LayoutRule),
-        ("order", order, PickOrder),
-        ("observer", observer if isinstance(observer, str) else "true", RobotObserver),
-    )
-    for name, value, known in asked:
-        check_choice(name, value, known)
-    if segmenter is not None and observer != "perception":
-        raise ConfigError(
-            f"`segmenter` with observer = {observer!r}", "observer='perception'", "leaving it out"
-        )
-    if not (isinstance(observer, str) or callable(observer)):
-        raise ConfigError(
-            f"observer = {observer!r}", f"{', '.join(get_args(RobotObserver))}, or an `Observer`"
-        )
+    check_choice("setting", setting, Rearrangement)
+    check_choice("choose", choose, LayoutRule)
+    check_choice("order", order, PickOrder)
+    if not callable(observer):
+        check_choice("observer", observer, RobotObserver)
     if pick and layout is not None:
         raise ConfigError(
             f"`pick` together with layout = {layout}", "one or the other", "leaving out `layout`"
         )
     looks = observer == "perception"
-    for what, is_given in (("noise", noise is not None), ("cameras", bool(cameras))):
-        if is_given and not looks:
+    for what, given in (("segmenter", segmenter), ("noise", noise), ("cameras", cameras or None)):
+        if given is not None and not looks:
             raise ConfigError(
                 f"`{what}` where nothing looks", "observer='perception'", "leaving it out"
             )
@@ -201,7 +189,6 @@ def rearrange(
         )
     options = RearrangeOptions(choose, layout, num_layouts, relook, order, one_grasp)
     name = "own" if told else setting
-    threads = num_threads or os.cpu_count() or 1
     with _person(choose, host, port, browser, show) if pick else nullcontext() as person:
         return run_rearrangements(
             replace(SETTINGS[setting], name=name),
@@ -211,7 +198,7 @@ def rearrange(
             Path(out) / name,
             pool=usual,
             observer=None if isinstance(looking, str) else looking,
-            num_threads=threads,
+            num_threads=num_threads,
             ask=person,
             films=film if films else None,
             sheets=show_layouts,

@@ -103,7 +103,7 @@ class Moves:
             self.sight.glance()
             run = self.execution
             drawn_back = np.array(run.robot.arm.drawn_back)
-            run.follow(run.motion_along(np.linspace(run.set_point, drawn_back, 8)), Phase.FREE)
+            run.follow(np.linspace(run.set_point, drawn_back, 8), Phase.FREE)
             run.wait(0.2, Phase.FREE)
         self.sight()
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import sys
 from collections import Counter
@@ -11,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -320,7 +319,7 @@ class Starts:
         self._pool = pool
         self._planner = planner
         self._own = own or OwnScenes()
-        self._num_threads = num_threads or os.cpu_count() or 1
+        self._num_threads = num_threads
         self._find_grasps = GraspFinder(own_grasps, self._num_threads, robot)
         self._grasps: dict[str, Grasps] = {}
         self._symmetry = cache(turn_symmetry)
@@ -463,12 +462,16 @@ class Starts:
                 return None
             layouts = goal.layouts
             order = [*goal.moved, *(k for k in range(len(numbers)) if k not in goal.moved)]
-            grasps = tuple(grasps[k] for k in order)
-            symmetry = tuple(symmetry[k] for k in order)
-            names = tuple(scene.names[k] for k in order)
-            objects = tuple(scene.objects[k] for k in order)
+
+            def sorted_by_goal(each: Sequence[Any]) -> tuple[Any, ...]:
+                return tuple(each[k] for k in order)
+
+            grasps = sorted_by_goal(grasps)
+            symmetry = sorted_by_goal(symmetry)
+            names = sorted_by_goal(scene.names)
+            objects = sorted_by_goal(scene.objects)
             scene = replace(scene, names=names, objects=objects, poses=scene.poses[order])
-            numbers = [numbers[k] for k in order]
+            numbers = list(sorted_by_goal(numbers))
             moved = len(goal.moved)
             setting = replace(setting, num_objects=moved, num_others=len(order) - moved)
         place = self._place
@@ -519,17 +522,17 @@ def _carry_over(rectangle: Rectangle, area: Rectangle) -> Rectangle:
 def _check_inside(rectangle: Rectangle, area: Rectangle, what: str) -> None:
     corners = rotate_in_plane(rectangle.corners - np.asarray(area.center), -area.yaw)
     if (np.abs(corners) > np.asarray(area.half_extents) + _SLACK).any():
-        (x, y) = area.center
-        (half_x, half_y) = area.half_extents
-        allowed = (
-            f"within {2 * half_x:g} x {2 * half_y:g} m about {x:g}, {y:g}, which the arm reaches"
-        )
-        (x, y) = rectangle.center
-        (half_x, half_y) = rectangle.half_extents
-        given = f"{what}, {2 * half_x:g} x {2 * half_y:g} m about {x:g}, {y:g}"
         raise ConfigError(
-            given, allowed, "a smaller `target`, another `setting`, or a larger support"
+            f"{what}, {_told(rectangle)}",
+            f"within {_told(area)}, which the arm reaches",
+            "a smaller `target`, another `setting`, or a larger support",
         )
+
+
+def _told(rectangle: Rectangle) -> str:
+    x, y = rectangle.center
+    half_x, half_y = rectangle.half_extents
+    return f"{2 * half_x:g} x {2 * half_y:g} m about {x:g}, {y:g}"
 
 
 def _draw_seed(rng: np.random.Generator) -> int:

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
     from cluttergen_jax.downstream.robot.episode import WATCHED
     from cluttergen_jax.downstream.robot.film import check_films
+    from cluttergen_jax.downstream.robot.grasping.grasp_dataset import GraspDataset
     from cluttergen_jax.downstream.robot.grasping.grasps import GraspFinder, Grasps, GraspSets
     from cluttergen_jax.downstream.robot.grasping.grips import FIRM, first_grasp, rank_grasps
     from cluttergen_jax.downstream.robot.model import base_pose
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.robot.sensing_arm import ArmSilhouette
     from cluttergen_jax.downstream.robot.trials import (
         EPISODES,
+        RobotTrials,
         episode_seed,
         make_episodes,
         planner_hash,
@@ -44,6 +46,7 @@ __getattr__, __all__ = offer(
         "description": ("RobotDescription", "find_robot"),
         "episode": ("WATCHED",),
         "film": ("check_films",),
+        "grasping.grasp_dataset": ("GraspDataset",),
         "grasping.grasps": ("GraspFinder", "GraspSets", "Grasps"),
         "grasping.grips": ("FIRM", "first_grasp", "rank_grasps"),
         "model": ("base_pose",),
@@ -64,6 +67,13 @@ __getattr__, __all__ = offer(
         "protocols": ("GraspSource", "PathPlanner"),
         "recorder": ("RecordAsked", "open_recorder"),
         "sensing_arm": ("ArmSilhouette",),
-        "trials": ("EPISODES", "episode_seed", "make_episodes", "planner_hash", "planner_recipe"),
+        "trials": (
+            "EPISODES",
+            "RobotTrials",
+            "episode_seed",
+            "make_episodes",
+            "planner_hash",
+            "planner_recipe",
+        ),
     },
 )

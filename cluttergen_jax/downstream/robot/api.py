@@ -17,11 +17,14 @@ from cluttergen_jax.numerics import with_own_settings
 if TYPE_CHECKING:
     from cluttergen_jax.assets import Rectangle
     from cluttergen_jax.downstream.placer.query import Placer, PlainPlacer
-    from cluttergen_jax.downstream.robot.description import RobotDescription
-    from cluttergen_jax.downstream.robot.grasping.grasp_dataset import GraspDataset
-    from cluttergen_jax.downstream.robot.grasping.grasps import GraspSets
-    from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
-    from cluttergen_jax.downstream.robot.trials import RobotTrials
+    from cluttergen_jax.downstream.robot import (
+        GraspDataset,
+        GraspSets,
+        GraspSource,
+        PathPlanner,
+        RobotDescription,
+        RobotTrials,
+    )
 
 _MOST_GRASPS = 4096
 _MOST_SEED = 999_999
@@ -71,7 +74,12 @@ def robot_grasps(
     """
     from cluttergen_jax.assets import find_pool
     from cluttergen_jax.downstream.robot.description import find_robot
-    from cluttergen_jax.downstream.robot.grasping.grasps import grasp_sets, write_grasps
+    from cluttergen_jax.downstream.robot.grasping.grasps import (
+        GraspSets,
+        grasp_sheet,
+        grasps_of,
+        write_grasps,
+    )
 
     check_file(out, "out", "grasps.parquet")
     check_file(picture, "picture", "grasps.png")
@@ -83,11 +91,11 @@ def robot_grasps(
     described = find_robot(robot)
     chosen = tuple(found[name] for name in objects) or found.objects
     with hold_file(out), hold_file(picture):
-        sets = grasp_sets(chosen, num_grasps, seed, num_threads, fresh, described)
+        made = grasps_of(chosen, num_grasps, seed, num_threads, fresh, described)
+        sets = GraspSets(tuple(made))
         if out is not None:
             write_grasps(Path(out), sets.sets)
         if picture is not None:
-            from cluttergen_jax.downstream.robot.grasping.grasps import grasp_sheet
             from cluttergen_jax.rendering import save_png
 
             save_png(grasp_sheet(chosen, sets), picture)
@@ -171,7 +179,6 @@ def robot_place(
       MissingExtraError: the extra `robot` is not installed.
       RendererError: pictures are asked for, and nothing here can draw.
     """
-    import os
     from dataclasses import replace
     from typing import Any
 
@@ -224,7 +231,6 @@ def robot_place(
     is_named = isinstance(placer, str | Path)
     told = str(placer) if is_named else part_label(placer, "placer")
     rows = {"task": task, "placer": told, "seed": seed, "pool": recipe.get("pool"), "bank": made}
-    threads = num_threads or os.cpu_count() or 1
     places: Any = own_place
     if task == "place" and looking is not None:
         places = CameraPlacer(
@@ -233,7 +239,7 @@ def robot_place(
         trained = placer_folder(placer) if isinstance(placer, str | Path) else None
         rows |= {"noise": factor, "weights": trained and folder_hash(trained)}
     elif task == "place" and placer != "none":
-        places = SearchPlaces(found, str(placer), seed, threads)
+        places = SearchPlaces(found, str(placer), seed, num_threads)
         policy = checkpoint_of(str(placer), str(recipe.get("pool")))
         rows |= {"weights": policy and policy.hash}
     return run_trials(
@@ -243,7 +249,7 @@ def robot_place(
         seed,
         Path(out) / task,
         rows,
-        num_threads=threads,
+        num_threads=num_threads,
         places=places,
         films=film if films else None,
         robot=described,

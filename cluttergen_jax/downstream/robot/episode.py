@@ -157,7 +157,7 @@ class Referee:
             self.execution.wait(0.1, Phase.FREE)
             shift, turn = motion_between(self.execution.poses()[self.target], start)
             if has_moved(shift, turn, limits):
-                raise Failed(Outcome.UNSTABLE, told_motion(shift, turn))
+                raise Failed(Outcome.UNSTABLE, told_motion(float(shift), float(turn)))
             self.check_others()
 
     def check_region(self) -> None:

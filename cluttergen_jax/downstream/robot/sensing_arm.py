@@ -211,7 +211,7 @@ class SensingArm:
         run = self.execution
         aside = run.set_point
         aside[0] += _ASIDE
-        run.follow(run.motion_along(np.linspace(run.set_point, aside, 8)), Phase.FREE)
+        run.follow(np.linspace(run.set_point, aside, 8), Phase.FREE)
         run.wait(0.2, Phase.FREE)
 
     def _world(self) -> PlanningWorld:

@@ -172,9 +172,9 @@ def run_trials(
     file = RowStore(None if out is None else out / EPISODES, recipe, EpisodeResult, "robot place")
     rows = file.read(number)
     # A bank that has grown has scenes of their own for episodes which took the first ones again.
-    there = {-1, *(_number_of(scenes, index) for index in range(len(scenes)))}
+    numbers = [-1 if each.origin is None else each.origin.index for each in scenes]
     for index, row in enumerate(rows):
-        if row.scene not in there:
+        if row.scene not in (-1, *numbers):
             raise BankError(
                 f"{out}: episode {index} is of scene {row.scene}, which is not among those that stand",
                 "the bank that the rows are of",
@@ -185,17 +185,15 @@ def run_trials(
     grasps: dict[str, Grasps] = dict(zip(assets, found, strict=True))
     file.note_grasps({name: each.digest for name, each in grasps.items()})
 
-    by_number = {_number_of(scenes, index): scenes[index] for index in range(len(scenes))}
-
     def run(index: int, trace: Trace | None = None) -> EpisodeResult:
-        scene = scenes[index % len(scenes)]
-        if index < len(rows):
+        place = index % len(scenes)
+        if index < len(rows) and rows[index].scene >= 0:
             # Its own, which the bank may have had elsewhere in the row of episodes.
-            scene = by_number.get(rows[index].scene, scene)
-        row = _episode(
-            scene, task, grasps[scene.objects[-1].name], places, index, seed, trace, planner, robot
-        )
-        return replace(row, scene=scene.origin.index if scene.origin is not None else -1)
+            place = numbers.index(rows[index].scene)
+        scene = scenes[place]
+        of_object = grasps[scene.objects[-1].name]
+        row = _episode(scene, task, of_object, places, index, seed, trace, planner, robot)
+        return replace(row, scene=numbers[place])
 
     def note(rows: list[EpisodeResult]) -> str:
         good = sum(row.is_success for row in rows)
@@ -228,7 +226,7 @@ def make_episodes(
       out: see `run_trials`.
     """
     filmed = None if out is None or films is None else Films(run, out / FILMS, films, title)
-    make = run if filmed is None else filmed.run
+    make: Callable[..., Any] = run if filmed is None else filmed.run
     if recorder is not None:
         recorder.complete(rows, again or run)
         make = partial(recorder.run, run=make)
@@ -242,12 +240,6 @@ def make_episodes(
 def _task_text(task: str, row: EpisodeResult) -> str:
     name = row.object.replace("_", " ")
     return f"lift the {name}" if task == "lift" else f"put the {name} on the table among the others"
-
-
-def _number_of(scenes: Sequence[Scene], index: int) -> int:
-    """The number, in its bank, of the scene of an episode."""
-    origin = scenes[index % len(scenes)].origin
-    return -1 if origin is None else origin.index
 
 
 def _episode(

@@ -142,35 +142,14 @@ def sample_pairs(
     may_be_level = (length >= np.cos(cone)) & (np.arange(number) % 2 == 1)
     axis[may_be_level] = level[may_be_level] / length[may_be_level, None]
     crossing = union.cast(points, axis)
-    found = [
-        _narrow(union, crossing, axis, rows, reach, part, cone, max_width)
-        for rows, reach, part in _segments(crossing)
-        if len(rows)
-    ]
-    if not found:
-        return PointPairs(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
-    rows, width = (np.concatenate(each) for each in zip(*found, strict=True))
-    return PointPairs(points[rows], axis[rows], width)
-
-
-def _narrow(
-    union: Union,
-    crossing: _Crossing,
-    axis: np.ndarray,
-    rows: np.ndarray,
-    reach: np.ndarray,
-    part: np.ndarray,
-    cone: float,
-    max_width: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Of the ends of segments those that fit between the fingers and are faced well enough."""
-    fits = reach <= max_width
+    rows, width, part = (np.concatenate(each) for each in zip(*_segments(crossing), strict=True))
+    fits = width <= max_width
     rows = rows[fits]
-    reach = reach[fits]
-    part = part[fits]
-    facing = (union.normals(crossing, part, rows) * axis[rows]).sum(1)
+    width = width[fits]
+    facing = (union.normals(crossing, part[fits], rows) * axis[rows]).sum(1)
     is_good = facing >= np.cos(cone)
-    return rows[is_good], reach[is_good]
+    rows = rows[is_good]
+    return PointPairs(points[rows], axis[rows], width[is_good])
 
 
 def _segments(crossing: _Crossing) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:

@@ -134,11 +134,7 @@ def make_grasps(
         tests.append(verify_grasps(asset, batch, pool, robot))
         num_tested = num_tested + len(batch.width)
         missing = missing - int(tests[-1].is_held.sum())
-    result = (
-        GraspCheck(*(np.concatenate(each) for each in zip(*tests, strict=True)))
-        if tests
-        else _NO_TEST
-    )
+    result = GraspCheck(*(np.concatenate(each) for each in zip(_NO_TEST, *tests, strict=True)))
     held = np.flatnonzero(result.is_held)
     chosen = held[spread(candidates.pose[held], min(number, len(held)), rng)]
     chosen = chosen[np.argsort(~candidates.is_low[chosen], kind="stable")]
@@ -196,12 +192,12 @@ def grasps_of(
     """The grasps of objects one after another, from disk where they are kept, and made and kept where not.
 
     Args:
-      robot: whose hand it is; the Panda's if not given.
+      num_threads: 0 takes every core. robot: whose hand it is; the Panda's if not given.
     """
     robot = robot or find_robot()
     with (
         Progress("grasping", len(objects), "object") as progress,
-        Rollout(nthread=num_threads) as pool,
+        Rollout(nthread=num_threads or os.cpu_count() or 1) as pool,
     ):
         for asset in objects:
             path = grasp_file(asset, number, seed, robot)
@@ -221,10 +217,9 @@ def write_grasps(path: Path, sets: Sequence[Grasps]) -> Path:
     rows = {
         "object": [each.name for each in sets for _ in each.width],
         "hash": [each.hash for each in sets for _ in each.width],
-        **{name: [row for each in sets for row in getattr(each, name).tolist()] for name in _POSES},
-        **{name: np.concatenate([getattr(each, name) for each in sets]) for name in _COLUMNS},
-        "is_low": np.concatenate([each.is_low for each in sets]),
     }
+    for name in (*_POSES, *_COLUMNS, "is_low"):
+        rows[name] = np.concatenate([getattr(each, name) for each in sets]).tolist()
     schema = pa.schema(
         [
             ("object", pa.string()),
@@ -356,19 +351,6 @@ def _row(grasps: Grasps) -> tuple[str, ...]:
     return (*counts, *(f"{each:.1f}" for each in (shift, slip, turn, margin)))
 
 
-def grasp_sets(
-    objects: Sequence[ObjectAsset],
-    number: int,
-    seed: int,
-    num_threads: int,
-    fresh: bool,
-    robot: RobotDescription,
-) -> GraspSets:
-    """The grasps of objects (`grasps.grasps_of`); 0 threads are as many as there are cores."""
-    threads = num_threads or os.cpu_count() or 1
-    return GraspSets(tuple(grasps_of(objects, number, seed, threads, fresh, robot)))
-
-
 _HINT = "{'mug': (poses, widths), ...}, or a file of `cluttergen robot grasps` with --out"
 
 
@@ -424,40 +406,35 @@ class GraspFinder:
 
     def _of(self, asset: ObjectAsset, given: Any) -> Grasps:
         content = object_hash(asset)
-        if self._path is not None:
-            tested = read_grasps(self._path, asset) if given is None else None
-            if tested is not None:
-                given = tested
-            elif given is None:
-                raise PoolError(
-                    f"{self._path}: grasps of another version", _HINT, "making them again"
-                )
-        if isinstance(given, Grasps):
-            is_ours = given.gripper == self._robot.gripper.hash
-            if len(given) and given.hash == content and is_ours:
-                return given
-            other = f"another gripper than {self._robot.name}'s"
+        if given is None and self._path is not None:
+            given = read_grasps(self._path, asset)
+            if given is None:
+                told = f"{self._path}: grasps of another version"
+                raise PoolError(told, _HINT, "making them again")
+        if not isinstance(given, Grasps):
+            return _make_grasps(asset.name, content, given, self._robot)
+        what = "none"
+        if len(given):
             if given.hash != content:
-                other = "another object of that name"
-            what = f"those of {other}" if len(given) else "none"
-            raise ConfigError(f"`grasps` of {asset.name}: {what}", "grasps of this object", _HINT)
-        return _make_grasps(asset.name, content, given, self._robot)
+                what = "those of another object of that name"
+            elif given.gripper != self._robot.gripper.hash:
+                what = f"those of another gripper than {self._robot.name}'s"
+            else:
+                return given
+        raise ConfigError(f"`grasps` of {asset.name}: {what}", "grasps of this object", _HINT)
 
 
 def _read_plain(path: Path) -> dict[str, Any]:
     """Pairs of poses and widths by object; None for each object of a file of `robot grasps`."""
     try:
         table = pq.read_table(path)
-        names = table["object"].to_pylist()
+        names = np.array(table["object"].to_pylist())
         if b"cluttergen_grasps" in (table.schema.metadata or {}):
-            return dict.fromkeys(names)
-        poses, widths = (
-            np.array(table[each].to_pylist(), np.float64) for each in ("pose", "width")
-        )
+            return dict.fromkeys(names.tolist())
+        columns = [np.array(table[each].to_pylist(), np.float64) for each in ("pose", "width")]
         return {
-            name: (poses[rows], widths[rows])
-            for name in dict.fromkeys(names)
-            for rows in [[row for row, each in enumerate(names) if each == name]]
+            name: [each[names == name] for each in columns]
+            for name in dict.fromkeys(names.tolist())
         }
     except (pa.ArrowException, OSError, KeyError, ValueError, TypeError) as error:
         allowed = "a Parquet file with columns object, pose (7 numbers) and width, or one of `robot grasps`"
@@ -493,18 +470,8 @@ def _make_grasps(name: str, content: str, given: Any, robot: RobotDescription) -
     nothing = np.zeros(len(pose))
     # As if the object stayed where it is between the fingers.
     held = pose_of(inverse(matrix_of(pose)))
-    tested = dict.fromkeys(("shift", "slip", "turn", "margin"), nothing)
-    return Grasps(
-        name,
-        content,
-        pose,
-        width,
-        is_low=nothing == 0,
-        num_tested=0,
-        held=held,
-        gripper=robot.gripper.hash,
-        **tested,
-    )
+    tested = (nothing, nothing, nothing, nothing, nothing == 0, 0)
+    return Grasps(name, content, pose, width, *tested, held, robot.gripper.hash)
 
 
 _MOST = 24

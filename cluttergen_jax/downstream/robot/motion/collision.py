@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -161,33 +161,37 @@ class Mode(IntEnum):
 def _thresholds() -> np.ndarray:
     """f64[modes, kinds, kinds]: metres below which a pair of geoms is too close."""
     limit = np.full((len(Mode), len(Kind), len(Kind)), CLEARANCE)
+
+    def put(modes: Collection[Mode], a: Kind, b: Kind, least: float) -> None:
+        for mode in modes:
+            limit[mode, a, b] = limit[mode, b, a] = least
+
     moving = (Kind.ARM, Kind.HAND, Kind.HELD)
     for a in moving:
         for b in moving:
             # Fingers may touch each other and press on what they hold; no link may touch anything.
             limit[:, a, b] = SELF_CLEARANCE if Kind.ARM in (a, b) else 0.0 if a == b else -np.inf
-    for mode in set(Mode) - {Mode.TRAVEL}:
-        for other in (Kind.GROUND, Kind.OTHER):
-            limit[mode, Kind.HAND, other] = limit[mode, other, Kind.HAND] = NEAR
-        limit[mode, Kind.HAND, Kind.GROUND] = limit[mode, Kind.GROUND, Kind.HAND] = _SAG
-        limit[mode, Kind.HAND, Kind.TARGET] = limit[mode, Kind.TARGET, Kind.HAND] = NEAR
+    near = set(Mode) - {Mode.TRAVEL}
+    put(near, Kind.HAND, Kind.OTHER, NEAR)
+    put(near, Kind.HAND, Kind.GROUND, _SAG)
+    put(near, Kind.HAND, Kind.TARGET, NEAR)
+    put([Mode.CARRY], Kind.HELD, Kind.GROUND, _DIP)
+    put([Mode.CARRY], Kind.HELD, Kind.OTHER, _TOUCH)
     for other in (Kind.GROUND, Kind.OTHER):
-        for mode, least in ((Mode.CARRY, _TOUCH), (Mode.CLEAR, NEAR), (Mode.APART, APART)):
-            limit[mode, Kind.HELD, other] = limit[mode, other, Kind.HELD] = least
-    limit[Mode.CARRY, Kind.HELD, Kind.GROUND] = limit[Mode.CARRY, Kind.GROUND, Kind.HELD] = _DIP
+        put([Mode.CLEAR], Kind.HELD, other, NEAR)
+        put([Mode.APART], Kind.HELD, other, APART)
     # Of columns the whole clearance is kept, but for what is lowered where a placer wants it.
-    for other, least in ((Kind.SEEN, _BLUR), (Kind.HIDDEN, -np.inf)):
-        for mode in (Mode.CARRY, Mode.CLEAR):
-            limit[mode, Kind.HELD, other] = limit[mode, other, Kind.HELD] = least
+    put([Mode.CARRY, Mode.CLEAR], Kind.HELD, Kind.SEEN, _BLUR)
+    put([Mode.CARRY, Mode.CLEAR], Kind.HELD, Kind.HIDDEN, -np.inf)
     return limit
 
 
 def _roomy() -> np.ndarray:
     """bool[kinds, kinds]: the pairs that keep more where objects may be off from where they are said."""
     pairs = np.zeros((len(Kind), len(Kind)), bool)
-    for a, b in ((Kind.HAND, Kind.OTHER), (Kind.HELD, Kind.OTHER), (Kind.HAND, Kind.TARGET)):
-        pairs[a, b] = pairs[b, a] = True
-    return pairs
+    pairs[Kind.HAND, [Kind.OTHER, Kind.TARGET]] = True
+    pairs[Kind.HELD, Kind.OTHER] = True
+    return pairs | pairs.T
 
 
 _LIMIT = _thresholds()
@@ -265,9 +269,8 @@ class PlanningWorld:
         kind = kinds_of(self.arm, self._bodies, self._target)
         kind[self._held] = Kind.HELD
         for each in _COLUMN_KINDS:
-            if (
-                body := mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, _name_of(each))
-            ) >= 0:
+            body = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, _name_of(each))
+            if body >= 0:
                 kind[body] = each
         return kind[self.model.geom_bodyid]
 
