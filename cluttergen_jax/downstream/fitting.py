@@ -117,7 +117,7 @@ class FitConfig:
         seed: int | None = None,
     ) -> FitConfig:
         """The same with those of these that are not None."""
-        given = {
+        given: dict[str, Any] = {
             "num_epochs": num_epochs,
             "batch_size": batch_size,
             "learning_rate": learning_rate,

@@ -137,7 +137,10 @@ class RunFolder:
 
     def load(self, fresh: T) -> T:
         """The state to go on from; `fresh`, which has its structure, where there is none."""
-        return read_state(self._last, fresh) if self.is_begun else fresh
+        if not self.is_begun:
+            return fresh
+        stored: T = read_state(self._last, fresh)
+        return stored
 
     def save(self, state: Any, **more: Any) -> None:
         """Stores the state to go on from, with the recipe and more (OSError: it cannot be written)."""
@@ -169,8 +172,10 @@ class RunFolder:
                 for number in range(first, num_steps):
                     if interrupt.is_asked:
                         break
-                    # The first one compiles, and before it there is nothing to save.
-                    call = partial(interrupt.run_compiling, step) if number == first else step
+                    call: Callable[..., tuple[State, str]] = step
+                    if number == first:
+                        # It compiles, and before it there is nothing to save.
+                        call = partial(interrupt.run_compiling, step)
                     state, note = call(number, state)
                     progress.update(note=note)
                     if time.monotonic() - saved > SAVE_EVERY:
