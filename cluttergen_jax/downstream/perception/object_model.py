@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -46,7 +47,7 @@ class ObjectModel:
     def of(asset: ObjectAsset) -> ObjectModel:
         """The model of an object, made once: what is drawn of it, or its collision parts where nothing is."""
         meshes = [piece.mesh for piece in asset.drawn_pieces]
-        surface = trimesh.util.concatenate(
+        surface: Any = trimesh.util.concatenate(
             [trimesh.Trimesh(mesh.vertices, mesh.faces, process=False) for mesh in meshes]
         )
         points, faces = trimesh.sample.sample_surface(surface, NUM_POINTS, seed=0)
