@@ -38,8 +38,8 @@ _MOST = 1_000_000
 """Of epochs, and of examples in a batch."""
 
 
-class Learner(Protocol):
-    """A network and what it learns from an example; a frozen value."""
+class Network(Protocol):
+    """A network whose weights are given; a frozen value."""
 
     @property
     def config(self) -> Any:
@@ -48,13 +48,17 @@ class Learner(Protocol):
     def init(self, key: Array) -> Any:
         """Fresh weights."""
 
+
+class Learner(Network, Protocol):
+    """A network and what it learns from an example; a frozen value."""
+
     def loss(self, params: Any, examples: Any, key: Array) -> tuple[Array, dict[str, Array]]:
         """What to keep low over a batch of examples, f32, and its parts by name."""
 
 
-def blank_params(learner: Learner) -> Any:
+def blank_params(network: Network) -> Any:
     """Weights of a network's shapes, all zero."""
-    shapes = jax.eval_shape(learner.init, new_key(0))
+    shapes = jax.eval_shape(network.init, new_key(0))
     return jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
 
 
