@@ -182,7 +182,7 @@ def _numbers(matrix: np.ndarray) -> np.ndarray:
     return pose_of(matrix)[..., [4, 5, 6, 3, 0, 1, 2]]
 
 
-def _write_npz(path: Path, **arrays: np.ndarray) -> None:
+def _write_npz(path: Path, **arrays: Any) -> None:
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
     write_atomically(path, buffer.getvalue())

@@ -109,7 +109,7 @@ APART = 0.003
 """Metres that what is held keeps from neighbours where it is asked to."""
 ROOM = 0.004
 """Metres that the hand and what it holds keep besides from objects that may be off by as much."""
-ROOMS = (ROOM, ROOM / 2, 0.0)
+ROOMS: tuple[float, ...] = (ROOM, ROOM / 2, 0.0)
 """The same, in the order of trying."""
 SELF_CLEARANCE = 0.002
 """Metres that the links of the arm keep from each other, the hand, and what it holds."""
