@@ -19,7 +19,6 @@ Every command has a function with the same defaults:
     placer_data, placer_eval       pairs for stable placement; success rates of placers
     placer_train                   pairs -> a placer for what one camera sees
     place_by_hand                  a person's scenes -> a bank
-    perception_data, _train, _eval views of scenes; a segmenter; how well objects and poses are found
     robot_grasps, robot_place      grasps of a pool's objects; objects moved by a simulated arm
     grasp_dataset                  labelled grasps in a bank's clutter
     read_robot                     a robot of your own, from a YAML file beside its models
@@ -52,11 +51,6 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.environments.api import make_robot_env, scripted_actions
     from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
     from cluttergen_jax.downstream.environments.world import RobotWorld, with_robot
-    from cluttergen_jax.downstream.perception.api import (
-        perception_data,
-        perception_eval,
-        perception_train,
-    )
     from cluttergen_jax.downstream.placer.api import placer_data, placer_eval, placer_train
     from cluttergen_jax.downstream.rearrange.api import rearrange
     from cluttergen_jax.downstream.robot.api import grasp_dataset, robot_grasps, robot_place
@@ -123,9 +117,6 @@ __all__ = [
     "make_sampler",
     "make_sb3_env",
     "make_vector_env",
-    "perception_data",
-    "perception_eval",
-    "perception_train",
     "place_by_hand",
     "placer_data",
     "placer_eval",
@@ -165,7 +156,6 @@ _MODULES = {
     "downstream.environments.api": ("make_robot_env", "scripted_actions"),
     "downstream.environments.randomization": ("RandomizationConfig",),
     "downstream.environments.world": ("RobotWorld", "with_robot"),
-    "downstream.perception.api": ("perception_data", "perception_eval", "perception_train"),
     "downstream.placer.api": ("placer_data", "placer_eval", "placer_train"),
     "downstream.rearrange.api": ("rearrange",),
     "downstream.robot.api": ("grasp_dataset", "robot_grasps", "robot_place"),

@@ -18,13 +18,16 @@ import zlib
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 import numpy as np
 import yaml
 
 from cluttergen_jax.files import MOST_WORDS, fault_of_file
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 T = TypeVar("T")
 Record = dict[str, Any]
@@ -318,26 +321,48 @@ def _digest(record: Mapping[str, Any]) -> str:
     return digest_of(json.dumps(record, sort_keys=True, separators=(",", ":")).encode())
 
 
-SEAL = {_SEAL.decode(): _BLANK.decode()}
-"""What a Parquet file that is to be sealed has among its metadata, once."""
+def sealed_parquet(table: pa.Table, **options: Any) -> bytes:
+    """A Parquet file with checksums of its pages, and one of all of it among its metadata.
 
+    Args:
+      options: more of `pyarrow.parquet.ParquetWriter`.
+    """
+    from pyarrow.parquet import ParquetWriter
 
-def with_seal(data: bytes) -> bytes:
-    """A file that has `SEAL`, with its checksum in it."""
+    buffer = io.BytesIO()
+    with ParquetWriter(buffer, table.schema, write_page_checksum=True, **options) as writer:
+        writer.write_table(table)
+        writer.add_key_value_metadata({_SEAL.decode(): _BLANK.decode()})
+    data = buffer.getvalue()
     found = _SEALED.search(data)
     assert found is not None, "a file without a place for its checksum"
     start = found.start(1)
     return data[:start] + digest_of(data).encode() + data[start + len(_BLANK) :]
 
 
-def check_seal(data: bytes) -> None:
-    """Refuses a file that is not the one whose checksum it has; files without one pass (SchemaError)."""
+def read_sealed_parquet(data: bytes, schema: pa.Schema | None = None) -> pa.Table:
+    """The table of a file of `sealed_parquet`; files without a checksum are read, too.
+
+    Args:
+      schema: that it must have.
+
+    Raises:
+      SchemaError: it is not the file whose checksum it has.
+      pyarrow.ArrowException, OSError: it is no Parquet file, or a damaged one.
+    """
+    from pyarrow import BufferReader
+    from pyarrow.parquet import read_table
+
     found = _SEALED.search(data)
-    if found is None:
-        return
-    start, end = found.span(1)
-    if digest_of(data[:start] + _BLANK + data[end:]).encode() != found[1]:
-        raise SchemaError("its content does not match its checksum")
+    if found is not None:
+        start, end = found.span(1)
+        if digest_of(data[:start] + _BLANK + data[end:]).encode() != found[1]:
+            raise SchemaError("its content does not match its checksum")
+    table = read_table(
+        BufferReader(data), schema=schema, page_checksum_verification=True, partitioning=None
+    )
+    table.validate(full=True)
+    return table
 
 
 @dataclass(frozen=True)

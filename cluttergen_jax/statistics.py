@@ -24,6 +24,12 @@ def share_row(good: int, number: int) -> dict[str, float]:
     return {"share": good / max(number, 1), "low95": low, "high95": high}
 
 
+def share_of(good: int, number: int) -> str:
+    """A share with its interval, as tables show it."""
+    low, high = wilson(good, number)
+    return f"{good / max(number, 1):.3f} [{low:.3f}, {high:.3f}] of {number}"
+
+
 def proportion(is_good: np.ndarray) -> dict[str, float]:
     """The share of bool[N] that is true (`share_row`)."""
     return share_row(int(is_good.sum()), len(is_good))

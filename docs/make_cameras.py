@@ -8,11 +8,11 @@ import numpy as np
 from PIL import Image
 
 import cluttergen_jax as cg
+from cluttergen_jax.downstream.noise import REALSENSE, noisy
 from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, open_scene_renderer
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 from cluttergen_jax.sensing.camera import Camera
-from cluttergen_jax.sensing.noise import REALSENSE, noisy
 from cluttergen_jax.sensing.partial import Grid, PartialMap, level_camera
 from cluttergen_jax.sensing.rays import RaySensor, sensed_model
 from cluttergen_jax.views.images import palette

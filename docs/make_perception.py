@@ -1,4 +1,4 @@
-"""Makes the picture of docs/guide/perception.md: python docs/make_perception.py (two minutes)."""
+"""Makes the picture of docs/guide/perception.md: python -m docs.make_perception (two minutes)."""
 
 import tempfile
 from pathlib import Path
@@ -7,15 +7,14 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import binary_dilation
 
-import cluttergen_jax as cg
+from cluttergen_jax.downstream.noise import REALSENSE
 from cluttergen_jax.downstream.perception.finder import SceneFinder, load_finder
-from cluttergen_jax.downstream.perception.segment.training import simulate_camera
 from cluttergen_jax.downstream.perception.types import FIRST_OBJECT
-from cluttergen_jax.downstream.perception.views.store import StoredView
 from cluttergen_jax.rendering.sheet import contact_sheet
 from cluttergen_jax.sensing.camera import Camera
-from cluttergen_jax.sensing.noise import REALSENSE
 from cluttergen_jax.views.images import palette
+from studies.perception.api import perception_data
+from studies.perception.view_store import StoredView, simulate_camera
 
 HERE = Path(__file__).parent / "images"
 POOL = "household"
@@ -56,7 +55,7 @@ def row_of(finder: SceneFinder, stored: StoredView) -> list[np.ndarray]:
 def main() -> None:
     """Views of scenes that training has not seen."""
     with tempfile.TemporaryDirectory() as folder:
-        views = cg.perception_data(folder, pool=POOL, num_views=NUM_VIEWS, split="test")
+        views = perception_data(folder, pool=POOL, num_views=NUM_VIEWS, split="test")
         finder = load_finder(POOL, views.objects, views.support)
         rows = [row_of(finder, stored) for stored in views.views("test") if stored.number in SHOWN]
     words = ("colours", "depths, nearer is brighter", "what the network sees", "poses found")

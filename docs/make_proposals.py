@@ -8,6 +8,7 @@ import numpy as np
 from PIL import Image
 
 import cluttergen_jax as cg
+from cluttergen_jax.downstream.noise import REALSENSE
 from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes, ProposalJudge, world_pose
 from cluttergen_jax.downstream.placer.proposers import find_placer
@@ -15,7 +16,6 @@ from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, open_scene_renderer
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 from cluttergen_jax.sensing.camera import REALSENSE_SIZE, SIZE, Camera
-from cluttergen_jax.sensing.noise import REALSENSE
 from cluttergen_jax.sensing.rays import RaySensor, sensed_model
 from cluttergen_jax.types import Verdict
 

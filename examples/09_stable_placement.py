@@ -8,11 +8,11 @@ import jax
 import numpy as np
 
 import cluttergen_jax as cg
+from cluttergen_jax.downstream.noise import REALSENSE
 from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes, ProposalJudge
 from cluttergen_jax.downstream.placer.proposers import find_placer
 from cluttergen_jax.sensing.camera import free
-from cluttergen_jax.sensing.noise import REALSENSE
 from cluttergen_jax.sensing.rays import RaySensor, sensed_model
 from cluttergen_jax.types import Verdict
 

@@ -10,17 +10,15 @@ import numpy as np
 from PIL import Image
 
 import cluttergen_jax as cg
+from cluttergen_jax.downstream.noise import REALSENSE, noisy
 from cluttergen_jax.downstream.perception.finder import SceneFinder
 from cluttergen_jax.downstream.perception.frames import Frame, read_frame, write_frame
-from cluttergen_jax.downstream.perception.segment.network_segmenter import (
-    embedded_segmenters,
-    load_segmenter,
-)
+from cluttergen_jax.downstream.perception.segmenter import embedded_segmenters, load_segmenter
 from cluttergen_jax.downstream.perception.types import Segmentation
-from cluttergen_jax.downstream.perception.views.maker import open_stage
 from cluttergen_jax.downstream.robot.cameras import FOCAL, SIZE
-from cluttergen_jax.sensing.camera import free
-from cluttergen_jax.sensing.noise import REALSENSE, noisy
+from cluttergen_jax.rendering import PictureConfig
+from cluttergen_jax.sensing import free
+from cluttergen_jax.views import ViewMaker
 
 num_objects = 8
 folder = Path("frame")
@@ -36,19 +34,19 @@ bank = cg.generate(
 scene = next(iter(cg.read_scenes(bank)))
 pool = cg.load_pool("household").objects
 placed = dict(zip(scene.names, scene.poses, strict=True))
-poses = np.array([placed.get(asset.name, np.eye(7)[3]) for asset in pool])
 rng = np.random.default_rng(1)
-with open_stage(pool, scene.support, has_arm=False) as stage:
-    stage.place(poses, np.array([asset.name in placed for asset in pool]))
-    stage.move_arm(scene.support.top, None)
-    seen = stage.picture(free(scene.support, rng, *SIZE, FOCAL))
+with ViewMaker(PictureConfig(*SIZE)) as maker:
+    maker.place(scene.objects, scene.poses, scene.support)
+    seen = maker.see(free(scene.support, rng, *SIZE, FOCAL))
+# Of what each label stands for: the floor, the support, then the objects of the scene.
+label_of = np.array([0, 0, *(2 + [each.name for each in pool].index(name) for name in scene.names)])
 depth, camera = noisy(seen.depth, seen.camera, REALSENSE, rng)
 write_frame(folder, Frame(seen.rgb, depth, camera))
-Image.fromarray(seen.label).save(folder / "labels.png")
+Image.fromarray(label_of[seen.label].astype(np.uint8)).save(folder / "labels.png")
 
 # %% [markdown]
-# Whatever tells which pixel shows which object is a segmenter. `cluttergen perception train` makes one; where
-# none comes with the package, this one reads labels that another program wrote.
+# Whatever tells which pixel shows which object is a segmenter. In a checkout, `python -m studies.perception
+# train` makes one; where none comes with the package, this one reads labels that another program wrote.
 
 
 # %%
@@ -96,6 +94,6 @@ print(f"{found.seen.sum()} objects found, {len(placed)} on the table")
 #     8 objects found, 8 on the table
 #
 # What two noisy cameras see, the masks, and the poses that are found, drawn by
-# `python docs/make_perception.py`:
+# `python -m docs.make_perception`:
 #
 # ![Four scenes, their masks and poses](../docs/images/perception.png)

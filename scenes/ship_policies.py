@@ -16,7 +16,7 @@ from typing import Any
 
 from cluttergen_jax.learning.policies.embedded import FOR_ANY_POOL
 from cluttergen_jax.learning.ppo.checkpoint import read_record
-from cluttergen_jax.learning.training.metrics_log import draw_curve, read_rows
+from cluttergen_jax.learning.training.run_logger import draw_curve, read_rows
 
 MAX_BYTES = 1_000_000
 MAX_BYTES_FOR_ANY_POOL = 200_000

@@ -118,7 +118,7 @@ def train(
       DivergedError: numbers are not finite any more; the last good state is saved.
       KeyboardInterrupt: on Ctrl-C, once everything is saved.
     """
-    from cluttergen_jax.learning.training.distributed import join
+    from cluttergen_jax.learning.ppo.sharding import join
     from cluttergen_jax.learning.training.train import TrainConfig, as_in_paper, run_training
 
     asked = spec_of(train, spec, options)
@@ -287,13 +287,13 @@ def pretrain(
       BankError: another process writes to `out`.
       KeyboardInterrupt: on Ctrl-C, once everything is saved.
     """
-    from cluttergen_jax.learning.ppo.checkpoint import hold_run
     from cluttergen_jax.learning.training.pretrain import (
         PretrainConfig,
         Pretraining,
         PretrainReport,
         small,
     )
+    from cluttergen_jax.learning.training.run_folder import hold_run
 
     sizes = small(encoder)
     if features is not None:

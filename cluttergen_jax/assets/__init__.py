@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets.pool import embedded_root, find_pool, public_name, user_root
     from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, parse_region
     from cluttergen_jax.assets.support_file import find_support, support_hash
-    from cluttergen_jax.assets.symmetry import ROUND, turn_matrix, turn_symmetry
+    from cluttergen_jax.assets.symmetry import ROUND, turn_symmetry
 
 __getattr__, __all__ = offer(
     __name__,
@@ -28,6 +28,6 @@ __getattr__, __all__ = offer(
         "pool": ("embedded_root", "find_pool", "public_name", "user_root"),
         "support": ("Box", "Rectangle", "SupportAsset", "parse_region"),
         "support_file": ("find_support", "support_hash"),
-        "symmetry": ("ROUND", "turn_matrix", "turn_symmetry"),
+        "symmetry": ("ROUND", "turn_symmetry"),
     },
 )

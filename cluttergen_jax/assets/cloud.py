@@ -163,7 +163,7 @@ def scene_points(
 ) -> Cloud:
     """The surface points of all objects (1,024 each) and of the support's region (4,000 per square metre).
 
-    These are whole surfaces, hidden sides included; what one camera sees is a `views.view.View`.
+    These are whole surfaces, hidden sides included; what one camera sees is a `sensing.View`.
     """
     points = [np.zeros((0, 3))]
     colours = [np.zeros((0, 3), np.uint8)]

@@ -98,6 +98,11 @@ class ObjectAsset:
         )
 
     @property
+    def drawn_pieces(self) -> tuple[Piece, ...]:
+        """Its surfaces; its collision parts where it has none."""
+        return self.pieces or tuple(Piece(part.hull()) for part in self.parts)
+
+    @property
     def half_extents(self) -> np.ndarray:
         """f64[3]: half the size of the parts' bounding box, which is centred on the origin."""
         vertices = np.concatenate([part.vertices for part in self.parts])

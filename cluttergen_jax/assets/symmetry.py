@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from cluttergen_jax.assets.cloud import coloured_points
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.geometry import across
+from cluttergen_jax.geometry import across, yaw_matrix
 
 TOLERANCE = 0.005
 """Metres that a symmetric object's surface may lie off itself once it is turned; points lie 2 mm apart. It
@@ -63,7 +63,7 @@ def turn_symmetry(asset: ObjectAsset) -> int:
     tree = cKDTree(dense)
     sparse = dense[: _NUM_POINTS // 20]
     for order in _ORDERS:
-        turned = (sparse @ turn_matrix(angle)[:3, :3].T for angle in _angles(order))
+        turned = (sparse @ yaw_matrix(angle).T for angle in _angles(order))
         if all(tree.query(points)[0].max() <= TOLERANCE for points in turned):
             return order
     return 1
@@ -71,13 +71,6 @@ def turn_symmetry(asset: ObjectAsset) -> int:
 
 def _angles(order: int) -> np.ndarray:
     return 2 * np.pi * np.arange(1, order // 2 + 1) / order
-
-
-def turn_matrix(angle: float) -> np.ndarray:
-    """f64[4, 4]: a turn about z by radians."""
-    matrix = np.eye(4)
-    matrix[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    return matrix
 
 
 def symmetries_of(pieces: Sequence[Piece]) -> Symmetries:

@@ -26,7 +26,6 @@ COMMANDS = {
     "pretrain": "Pretrain a point encoder by classifying shapes. Rerun to resume.",
     "evaluate": "Compare methods on pools and supports.",
     "placer": "Stable placement from one camera's view: `placer data`, `placer train` and `placer eval`.",
-    "perception": "Known objects in images: `perception data`, `perception train` and `perception eval`.",
     "robot": "A robot arm in simulation: `robot grasps`, `robot place` and `robot dataset`.",
     "rearrange": "Let a simulated robot arm rearrange the objects of scenes (extra `robot`).",
     "import": (
@@ -42,7 +41,7 @@ COMMANDS = {
 """What each command is for: the first line of its docstring."""
 _MODULES = {
     "doctor": ("doctor",),
-    "downstream": ("placer", "perception", "robot", "rearrange"),
+    "downstream": ("placer", "robot", "rearrange"),
     "import_": ("import",),
     "learning": ("train", "pretrain", "evaluate"),
     "pools": ("pool", "inspect", "list"),

@@ -1,4 +1,4 @@
-"""The commands about what scenes are for: placers, perception, a robot arm."""
+"""The commands about what scenes are for: placers, a robot arm."""
 
 from __future__ import annotations
 
@@ -7,11 +7,6 @@ from functools import partial
 from tyro.conf import Positional
 
 from cluttergen_jax.cli.options import Group, Options, command
-from cluttergen_jax.downstream.perception.api import (
-    perception_data,
-    perception_eval,
-    perception_train,
-)
 from cluttergen_jax.downstream.placer.api import placer_data, placer_eval, placer_train
 from cluttergen_jax.downstream.rearrange.api import rearrange
 from cluttergen_jax.downstream.robot.api import grasp_dataset, robot_grasps, robot_place
@@ -61,46 +56,6 @@ run_placer = Group(
     Example: `cluttergen placer data --num-scenes 500 --pool household --out pairs`
     """,
     {"data": make_pairs, "train": train_placer, "eval": compare_placers},
-)
-
-
-@command(perception_data)
-def make_views(options: Options) -> None:
-    """Render views of scenes to train and judge perception with. Rerun to resume.
-
-    Example: `cluttergen perception data --pool household --num-views 6000 --out views`
-    """
-    views = options.call(perception_data)
-    for split in views.splits:
-        print(f"views      {views.split(split)['num_views']} of {split} in {views.path}")
-
-
-@command(perception_train, data=Positional[str])
-def train_segmenter(options: Options) -> None:
-    """Train a segmenter on views. Rerun to resume.
-
-    Example: `cluttergen perception train views --out runs/segmenter`
-    """
-    options.call(perception_train)
-
-
-@command(perception_eval, data=Positional[str])
-def judge_perception(options: Options) -> None:
-    """Judge masks, poses and certainty against what is true (extra `perception`).
-
-    Every row is kept in the folder `--out`: rerun to resume.
-
-    Example: `cluttergen perception eval views --segmenter runs/segmenter`
-    """
-    print(options.call(perception_eval, out=options.out or "out/perception"))
-
-
-run_perception = Group(
-    """Known objects in images: `perception data`, `perception train` and `perception eval`.
-
-    Example: `cluttergen perception data --num-views 6000 --out views`
-    """,
-    {"data": make_views, "train": train_segmenter, "eval": judge_perception},
 )
 
 

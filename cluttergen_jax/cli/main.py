@@ -196,7 +196,7 @@ def watch_signals(usual: Callable[..., Any]) -> None:
 
     Args:
       usual: the handler of Ctrl-C that is there as long as nobody has answered, or has taken it over to save
-        what there is first (`learning.training.interrupt`). A second signal waits for nobody.
+        what there is first (`learning.training.run_folder`). A second signal waits for nobody.
     """
     reads, writes = os.pipe()
     os.set_blocking(writes, False)

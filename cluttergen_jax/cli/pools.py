@@ -298,7 +298,7 @@ def _inspect_pool(
 
         print(write_pool_report(out, pool, assets))
     elif grasps:
-        from cluttergen_jax.downstream.robot.grasping.picture import grasp_sheet
+        from cluttergen_jax.downstream.robot.grasping.grasps import grasp_sheet
 
         print(save_png(grasp_sheet(assets, sets, columns), out))
     else:

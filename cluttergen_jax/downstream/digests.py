@@ -1,4 +1,4 @@
-"""Digests of JSON values, and of the constants that modules fix."""
+"""Digests of JSON values, of checkpoints, and of the constants that modules fix."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import dataclasses
 import hashlib
 import json
 import re
+from collections.abc import Sequence
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -33,6 +35,14 @@ def constants_hash(*modules: ModuleType, **others: Any) -> str:
 def json_digest(value: Any, length: int = 64) -> str:
     """The first hex digits of the digest of a JSON value."""
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:length]
+
+
+def folder_hash(folder: Path, names: Sequence[str] | None = None) -> str:
+    """The digest of a checkpoint's files, or of those of some names."""
+    found = folder.rglob("*") if names is None else (folder / name for name in names)
+    files = sorted(each for each in found if each.is_file())
+    parts = [f"{each.relative_to(folder)}".encode() + each.read_bytes() for each in files]
+    return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()
 
 
 def _plain(value: Any) -> Any:

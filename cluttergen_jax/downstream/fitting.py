@@ -7,8 +7,6 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from functools import partial
-from importlib.metadata import version
 from numbers import Integral
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Protocol
@@ -23,18 +21,16 @@ from cluttergen_jax.assets import embedded_root
 from cluttergen_jax.config import check_positive
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning import (
-    Interrupt,
     MetricsLog,
-    check_folder,
-    has_state,
+    RunFolder,
+    batch_of,
+    checkpoints_in,
     hold_run,
-    read_record,
-    read_state,
     save_policy,
-    save_state,
+    versions,
 )
 from cluttergen_jax.numerics import new_key
-from cluttergen_jax.progress import COMPILING, Progress, time_text
+from cluttergen_jax.progress import time_text
 from cluttergen_jax.types import Array
 
 _WARM_UP = 0.02
@@ -42,8 +38,8 @@ _MOST = 1_000_000
 """Of epochs, and of examples in a batch."""
 
 
-class Learner(Protocol):
-    """A network and what it learns from an example; a frozen value."""
+class Network(Protocol):
+    """A network whose weights are given; a frozen value."""
 
     @property
     def config(self) -> Any:
@@ -52,21 +48,23 @@ class Learner(Protocol):
     def init(self, key: Array) -> Any:
         """Fresh weights."""
 
+
+class Learner(Network, Protocol):
+    """A network and what it learns from an example; a frozen value."""
+
     def loss(self, params: Any, examples: Any, key: Array) -> tuple[Array, dict[str, Array]]:
         """What to keep low over a batch of examples, f32, and its parts by name."""
 
 
-def blank_params(learner: Learner) -> Any:
+def blank_params(network: Network) -> Any:
     """Weights of a network's shapes, all zero."""
-    shapes = jax.eval_shape(learner.init, new_key(0))
+    shapes = jax.eval_shape(network.init, new_key(0))
     return jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
 
 
 def embedded_checkpoints(name: str) -> dict[str, Path]:
     """The checkpoints that come with the package in a folder of this name, by their own names."""
-    root = embedded_root() / name
-    folders = sorted(root.iterdir()) if root.is_dir() else []
-    return {folder.name: folder for folder in folders if (folder / "record.json").is_file()}
+    return checkpoints_in(embedded_root() / name)
 
 
 def config_of(kind: Any, record: Mapping[str, Any], path: Path, hint: str) -> Any:
@@ -123,13 +121,13 @@ class FitConfig:
         seed: int | None = None,
     ) -> FitConfig:
         """The same with those of these that are not None."""
-        return replace(
-            self,
-            num_epochs=self.num_epochs if num_epochs is None else num_epochs,
-            batch_size=self.batch_size if batch_size is None else batch_size,
-            learning_rate=self.learning_rate if learning_rate is None else learning_rate,
-            seed=self.seed if seed is None else seed,
-        )
+        given: dict[str, Any] = {
+            "num_epochs": num_epochs,
+            "batch_size": batch_size,
+            "learning_rate": learning_rate,
+            "seed": seed,
+        }
+        return replace(self, **{name: each for name, each in given.items() if each is not None})
 
     def optimizer(self, num_steps: int) -> optax.GradientTransformation:
         """For a run of so many steps."""
@@ -227,8 +225,6 @@ def take(examples: Any, which: np.ndarray) -> Any:
     return jax.tree.map(lambda leaf: leaf[index], examples) if len(index) else None
 
 
-_SAVE_EVERY = 60.0
-
 # Fits and learners are values: equal ones share what is compiled.
 _start: Any = jax.jit(Fit.start, static_argnums=0)
 _step: Any = jax.jit(Fit.step, static_argnums=0)
@@ -266,7 +262,7 @@ class FitRun(ABC):
         self.folder = folder
         self._show = show
         self.recipe = {"network": asdict(learner.config), "fit": asdict(config), **recipe}
-        check_folder(folder, self.recipe)
+        self._kept = RunFolder(folder, self.recipe)
 
     @abstractmethod
     def examples(self, split: str) -> Any:
@@ -279,13 +275,12 @@ class FitRun(ABC):
     def store(self, state: FitState, validation: Mapping[str, object], **more: object) -> Path:
         """Stores the best weights; validation: what they were worth besides the loss; more: of the record."""
         folder = self.folder / self.kind
-        names = ("cluttergen_jax", "mujoco", "jax", "flax")
         record = {
             "kind": self.kind,
             **self.recipe,
             **more,
             "validation": {"loss": float(state.best_loss), **validation},
-            "versions": {name: version(name) for name in names},
+            "versions": versions(),
         }
         save_policy(folder, jax.device_get(state.best), record)
         return folder
@@ -300,7 +295,7 @@ class FitRun(ABC):
         """
         with hold_run(self.folder):
             # Another process may have made a run here since.
-            check_folder(self.folder, self.recipe)
+            self._kept.check()
             return self.folder / self.kind if self._is_done() else self._run()
 
     def _run(self) -> Path:
@@ -314,10 +309,7 @@ class FitRun(ABC):
                 "one batch or more",
             )
         fit = Fit(self.learner, self.config, batches * self.config.num_epochs)
-        with Interrupt() as interrupt:
-            state = self._load_or_start(fit)
-            state = self._learn(fit, state, examples, held_out, interrupt)
-            self._keep(state)
+        state = self._learn(fit, self._kept.load(_start(fit)), examples, held_out)
         if int(state.step) < fit.num_steps:
             raise KeyboardInterrupt
         folder = self.save(state, held_out)
@@ -345,50 +337,28 @@ class FitRun(ABC):
 
     def _is_done(self) -> bool:
         """Whether the folder holds this run's checkpoint, which is written last."""
-        place = self.folder / self.kind
-        if not (place / "record.json").is_file():
-            return False
-        record = read_record(place)
-        return all(
-            record.get(name) == value for name, value in json.loads(json.dumps(self.recipe)).items()
-        )
+        record = self._kept.record(self.kind)
+        recipe = json.loads(json.dumps(self.recipe))
+        return bool(record) and {name: record.get(name) for name in recipe} == recipe
 
-    def _load_or_start(self, fit: Fit) -> FitState:
-        state: FitState = _start(fit)
-        last = self.folder / "last"
-        return read_state(last, state) if has_state(last) else state
-
-    def _keep(self, state: FitState) -> None:
-        save_state(self.folder / "last", state, self.recipe)
-
-    def _learn(
-        self, fit: Fit, state: FitState, examples: Any, held_out: Any, interrupt: Interrupt
-    ) -> FitState:
+    def _learn(self, fit: Fit, state: FitState, examples: Any, held_out: Any) -> FitState:
         batches = fit.num_steps // self.config.num_epochs
-        first = int(state.step)
-        log = MetricsLog(self.folder / "metrics.csv", first // batches)
+        log = MetricsLog(self.folder / "metrics.csv", int(state.step) // batches)
         seen: list[dict[str, Array]] = []
-        saved = time.monotonic()
         note = ""
-        with Progress("learning", fit.num_steps, "step", kept=first) as progress:
-            progress.say(COMPILING)
-            for number in range(first, fit.num_steps):
-                if interrupt.is_asked:
-                    break
-                index = self._batch(number, num_examples(examples), batches)
-                call = partial(interrupt.run_compiling, _step) if number == first else _step
-                state, parts = call(fit, state, take(examples, index))
-                seen.append(parts)
-                if (number + 1) % batches == 0:
-                    state, note = self._end_epoch(
-                        fit, state, held_out, seen, log, number // batches
-                    )
-                    seen = []
-                progress.update(note=note)
-                if time.monotonic() - saved > _SAVE_EVERY:
-                    self._keep(state)
-                    saved = time.monotonic()
-        return state
+
+        def step(number: int, state: FitState) -> tuple[FitState, str]:
+            nonlocal note
+            size = self.config.batch_size
+            index = batch_of(number, size, num_examples(examples), self.config.seed)
+            state, parts = _step(fit, state, take(examples, np.sort(index)))
+            seen.append(parts)
+            if (number + 1) % batches == 0:
+                state, note = self._end_epoch(fit, state, held_out, seen, log, number // batches)
+                seen.clear()
+            return state, note
+
+        return self._kept.learn(state, fit.num_steps, step)
 
     def _end_epoch(
         self,
@@ -418,12 +388,6 @@ class FitRun(ABC):
             best = jax.tree.map(jnp.array, state.params)
             state = state.replace(best=best, best_loss=jnp.float32(found))
         return state, f"loss {row['loss']:.3f}, validation {found:.3f}"
-
-    def _batch(self, number: int, num_examples: int, batches: int) -> np.ndarray:
-        """The examples of step `number`: each epoch has an order of its own."""
-        epoch, place = divmod(number, batches)
-        order = np.random.default_rng([self.config.seed, epoch]).permutation(num_examples)
-        return np.sort(order[place * self.config.batch_size : (place + 1) * self.config.batch_size])
 
     def batches_of(self, examples: Any) -> Iterator[Any]:
         """The examples in parts of at most a batch."""

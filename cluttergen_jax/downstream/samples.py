@@ -9,34 +9,89 @@ A block is written as a whole or not at all. Record and blocks carry checksums (
 
 from __future__ import annotations
 
-import io
 import json
 import shutil
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from cluttergen_jax.errors import BankError, ConfigError, closest, range_text
 from cluttergen_jax.files import folder_whole, remove_partial, write_atomically, writing
-from cluttergen_jax.kept_folder import KeptFolder, hold
+from cluttergen_jax.kept_folder import check_recipe
 from cluttergen_jax.scene import Bank
 from cluttergen_jax.schema import (
-    SEAL,
+    Numbers,
     SchemaError,
-    check_seal,
-    checked_record,
+    check_numbers,
     convert,
-    with_checksum,
-    with_seal,
+    read_sealed_parquet,
+    sealed_parquet,
 )
+from cluttergen_jax.stores import BlockStore
 
-FORMAT = 1
+MOST_PIXELS = 4096
+"""Of an image's side."""
+FAR = 100.0
+"""Metres beyond which nothing of a table's scene is."""
+_UNIT = 1e-3
+"""By which the length of a quaternion may differ from 1."""
+
+
+def read_columns(table: pa.Table, numbers: Mapping[str, Numbers]) -> dict[str, np.ndarray]:
+    """Columns of a block as arrays (`numbers_of`).
+
+    Raises:
+      SchemaError: a number is missing, not finite or out of its range.
+    """
+    found = {name: numbers_of(table, name) for name in numbers}
+    check_numbers(found, numbers)
+    return found
+
+
+def numbers_of(table: pa.Table, name: str) -> np.ndarray:
+    """A column of numbers or texts as an array; lists are flattened, a fixed size is that of the last axis.
+
+    Raises:
+      SchemaError: a value is missing.
+    """
+    values = table[name].combine_chunks()
+    last = list[int]()
+    while True:
+        if values.null_count:
+            raise SchemaError(f"{name!r} lacks a value")
+        if pa.types.is_fixed_size_list(values.type):
+            last = [values.type.list_size]
+        elif not pa.types.is_list(values.type):
+            break
+        values = values.flatten()
+    return values.to_numpy(zero_copy_only=False).reshape(-1, *last)
+
+
+def lengths_of(table: pa.Table, name: str) -> np.ndarray:
+    """i64[R]: how many entries, or bytes, each row of a column has; -1 where there is none."""
+    column = table[name].combine_chunks()
+    is_list = pa.types.is_list(column.type)
+    found = (pa.compute.list_value_length if is_list else pa.compute.binary_length)(column)
+    return found.cast(pa.int64()).fill_null(-1).to_numpy()
+
+
+def faults_of(table: pa.Table, lengths: Mapping[str, np.ndarray], *poses: np.ndarray) -> list[str]:
+    """What is wrong with lengths i[R] of columns, and with quaternions of poses f[..., 7]."""
+    faults = [
+        f"{name!r} is not as long as it should be"
+        for name, length in lengths.items()
+        if not np.array_equal(lengths_of(table, name), length)
+    ]
+    turns = np.concatenate([np.linalg.norm(each[:, 3:], axis=1) for each in poses])
+    return faults + ["a quaternion is not of length 1"] * bool(
+        np.abs(turns - 1).max(initial=0) > _UNIT
+    )
+
+
 SPLITS = {"train": 0, "val": 1_000_000, "test": 2_000_000}
 """The first seed of each split, of its banks and of all else that is drawn for it: nothing is drawn twice."""
 
@@ -62,64 +117,31 @@ class SampleFormat:
     check_rows: Callable[[pa.Table], None]
 
     @property
-    def index(self) -> str:
-        """The file's name of the record."""
-        return f"{self.kind}.json"
+    def store(self) -> BlockStore:
+        """Folders of this kind, in which banks that are made along may lie already."""
+        begun = ("assets", *(f"bank-{split}" for split in SPLITS))
+        return BlockStore(self.kind, f"{self.kind}.json", self.kind, self.command, begun)
 
     @property
     def again(self) -> str:
         """What mends a damaged folder."""
-        return f"the same `cluttergen {self.command}` again, which makes what is missing"
+        return f"the same `{self.command}` again, which makes what is missing"
 
     @property
     def number(self) -> str:
         """The record's name for how many rows a split has."""
         return f"num_{self.kind}"
 
-    def kept_folder(self, path: Path) -> KeptFolder:
-        """A folder of this kind, in which banks that are made along may lie already."""
-        begun = ("assets", *(f"bank-{split}" for split in SPLITS))
-        return KeptFolder(
-            path,
-            is_whole=lambda folder: (folder / self.index).exists(),
-            refusal=f"{{path}} exists and holds no {self.kind}",
-            is_begun=lambda each: each.name.startswith(begun),
-        )
-
-    def hold(self, path: Path) -> AbstractContextManager[None]:
-        """Holds a folder in the block, which is made if need be; `write` is called there.
-
-        Raises:
-          BankError: it holds something else, or another process writes there.
-        """
-        return hold(self.kept_folder(path).lock())
-
     def read_record(self, path: Path) -> dict[str, Any]:
         """The record of a folder. Raises BankError: there is none, or it is damaged."""
-        file = path / self.index
+        record = self.store.read_record(path)
         try:
-            data = file.read_bytes()
-        except (FileNotFoundError, NotADirectoryError) as error:
-            raise BankError(
-                f"{path} holds no {self.kind}: it has no {self.index}",
-                f"a folder that `cluttergen {self.command}` made",
-            ) from error
-        except OSError as error:
-            raise BankError(f"{file} cannot be read ({error})", hint=self.again) from error
-        try:
-            record = checked_record(data)
-            if (record.get("kind"), record.get("format")) != (self.kind, FORMAT):
-                raise SchemaError(f"not the record of {self.kind} of format {FORMAT}")
             convert(record, self.record)
         except SchemaError as error:
-            hint = f"a fresh copy of the folder, or `cluttergen {self.command}` into another"
-            raise BankError(f"{file} cannot be read ({error})", hint=hint) from error
+            raise BankError(
+                f"{path / self.store.index} cannot be read ({error})", hint=self.again
+            ) from error
         return record
-
-    def write_record(self, path: Path, record: dict[str, Any]) -> None:
-        """Stores it."""
-        text = json.dumps(with_checksum(record), indent=1) + "\n"
-        write_atomically(path / self.index, text.encode(), is_durable=True)
 
     def with_split(
         self,
@@ -139,8 +161,8 @@ class SampleFormat:
           BankError: the folder holds something else, or that split made otherwise.
         """
         made = json.loads(json.dumps(made))
-        record: dict[str, Any] = {"format": FORMAT, "kind": self.kind, **shared, "splits": {}}
-        if (path / self.index).exists():
+        record: dict[str, Any] = {**shared, "splits": {}}
+        if (path / self.store.index).exists():
             record = self.read_record(path)
         if any(record.get(name) != value for name, value in shared.items()):
             raise BankError(
@@ -154,13 +176,9 @@ class SampleFormat:
             for file in path.glob(f"{split}-*.parquet"):
                 file.unlink()
         if known is not None:
-            changed = sorted(name for name in made if known.get(name) != made[name])
-            if changed:
-                raise BankError(
-                    f"{path} holds {self.kind} of {split!r} made with another {', '.join(changed)}",
-                    "the same settings and the same scenes, which continue it",
-                    "another `out`, or `overwrite` to begin that split anew",
-                )
+            theirs = {name: known.get(name) for name in made}
+            hint = "another `out`, or `overwrite` to begin that split anew"
+            check_recipe(path, f"{self.kind} of {split!r} made", made, theirs, hint)
             number = max(number, known[self.number])
         record["splits"][split] = {self.number: number, **made}
         return record
@@ -186,13 +204,13 @@ class SampleFormat:
         Raises:
           BankError: see `hold` and `with_split`, or another process writes there.
         """
-        with self.kept_folder(path).lock(), writing(path):
+        with self.store.hold(path), writing(path):
             remove_partial(path)
             record = self.with_split(path, shared, split, made, number, overwrite)
             if not (path / "assets").is_dir():
                 with folder_whole(path / "assets", is_only_writer=True) as fresh:
                     shutil.copytree(bank.path / "assets", fresh)
-            self.write_record(path, record)
+            self.store.write_record(path, record)
             # More than were asked for, where an earlier call that was interrupted asked for more.
             sizes = self.sizes(record["splits"][split][self.number])
             kept = {
@@ -228,15 +246,7 @@ class SampleFormat:
         """
         file = self.block_path(path, split, block)
         try:
-            data = file.read_bytes()
-            check_seal(data)
-            table = pq.read_table(
-                pa.BufferReader(data),
-                schema=self.schema,
-                page_checksum_verification=True,
-                partitioning=None,
-            )
-            table.validate(full=True)
+            table = read_sealed_parquet(file.read_bytes(), self.schema)
             first = block * self.block_size
             numbers = np.arange(first, first + table.num_rows)
             if table.num_rows < num_rows or not np.array_equal(table[self.column], numbers):
@@ -251,15 +261,8 @@ class SampleFormat:
 
     def write_block(self, path: Path, split: str, block: int, table: pa.Table) -> None:
         """Stores a block."""
-        buffer = io.BytesIO()
-        with pq.ParquetWriter(
-            buffer, table.schema, compression="zstd", write_page_checksum=True
-        ) as writer:
-            writer.write_table(table)
-            writer.add_key_value_metadata(SEAL)
-        write_atomically(
-            self.block_path(path, split, block), with_seal(buffer.getvalue()), is_durable=True
-        )
+        file = self.block_path(path, split, block)
+        write_atomically(file, sealed_parquet(table, compression="zstd"), is_durable=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,7 +293,7 @@ class SampleSet:
             raise ConfigError(
                 f"{self.path} holds no {form.kind} of the split {name!r}",
                 f"{', '.join(splits) or 'none'} in that folder",
-                f"cluttergen {form.command} --split {name} --out {self.path}",
+                f"{form.command} --split {name} --out {self.path}",
             )
         return splits[name]
 

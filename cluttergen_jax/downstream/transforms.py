@@ -5,7 +5,8 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets import ROUND, turn_matrix
+from cluttergen_jax.assets import ROUND
+from cluttergen_jax.geometry import yaw_matrix
 
 
 def matrix_of(pose: np.ndarray) -> np.ndarray:
@@ -35,6 +36,11 @@ def rigid(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
     matrix[..., :3, 3] = position
     matrix[..., 3, 3] = 1.0
     return matrix
+
+
+def turn_matrix(angle: float) -> np.ndarray:
+    """f64[4, 4]: a turn about z by radians."""
+    return rigid(yaw_matrix(angle), np.zeros(3))
 
 
 def inverse(matrix: np.ndarray) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from numbers import Real
-from typing import Literal
+from typing import Any, Literal, get_args
 
 from cluttergen_jax.errors import ConfigError
 
@@ -26,6 +26,18 @@ MAX_PAIRS = 10_000_000
 
 MAX_NOISE = 10.0
 """Times the noise of a usual depth camera."""
+
+
+def check_choice(name: str, value: object, words: Any) -> None:
+    """Refuses what is none of the words of a `Literal` (ConfigError)."""
+    if value not in get_args(words):
+        raise ConfigError(f"{name} = {value!r}", ", ".join(get_args(words)))
+
+
+def check_factor(noise: Any) -> None:
+    """Refuses what is no factor of the usual noise (ConfigError)."""
+    if not (isinstance(noise, Real) and 0 <= float(noise) <= MAX_NOISE):
+        raise ConfigError(f"noise = {noise!r}", f"0 to {MAX_NOISE:g}", "noise=1")
 
 
 def check_noise(noise: object) -> None:

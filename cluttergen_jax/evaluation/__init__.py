@@ -11,14 +11,14 @@ from cluttergen_jax.lazy import offer
 
 if TYPE_CHECKING:
     from cluttergen_jax.evaluation.machine import versions
-    from cluttergen_jax.evaluation.measures.diversity import embed, scene_distances
+    from cluttergen_jax.evaluation.measures.diversity import embed
     from cluttergen_jax.evaluation.store import Store, json_bytes
 
 __getattr__, __all__ = offer(
     __name__,
     {
         "machine": ("versions",),
-        "measures.diversity": ("embed", "scene_distances"),
+        "measures.diversity": ("embed",),
         "store": ("Store", "json_bytes"),
     },
 )

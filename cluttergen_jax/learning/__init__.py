@@ -12,24 +12,24 @@ if TYPE_CHECKING:
         sampler_of,
         with_history_of,
     )
+    from cluttergen_jax.learning.policies.embedded import checkpoints_in
     from cluttergen_jax.learning.ppo.checkpoint import (
-        check_folder,
-        folder_hash,
-        has_state,
-        hold_run,
         read_policy,
         read_record,
-        read_state,
         save_policy,
-        save_state,
     )
-    from cluttergen_jax.learning.training.interrupt import Interrupt
-    from cluttergen_jax.learning.training.metrics_log import MetricsLog
-    from cluttergen_jax.learning.training.stability import (
+    from cluttergen_jax.learning.training.guided import (
         Calibration,
         calibration,
         draw_calibration,
     )
+    from cluttergen_jax.learning.training.run_folder import (
+        RunFolder,
+        batch_of,
+        hold_run,
+        versions,
+    )
+    from cluttergen_jax.learning.training.run_logger import MetricsLog
 
 __getattr__, __all__ = offer(
     __name__,
@@ -41,19 +41,19 @@ __getattr__, __all__ = offer(
             "sampler_of",
             "with_history_of",
         ),
+        "policies.embedded": ("checkpoints_in",),
         "ppo.checkpoint": (
-            "check_folder",
-            "folder_hash",
-            "has_state",
-            "hold_run",
             "read_policy",
             "read_record",
-            "read_state",
             "save_policy",
-            "save_state",
         ),
-        "training.interrupt": ("Interrupt",),
-        "training.metrics_log": ("MetricsLog",),
-        "training.stability": ("Calibration", "calibration", "draw_calibration"),
+        "training.run_logger": ("MetricsLog",),
+        "training.run_folder": (
+            "RunFolder",
+            "batch_of",
+            "hold_run",
+            "versions",
+        ),
+        "training.guided": ("Calibration", "calibration", "draw_calibration"),
     },
 )

@@ -14,9 +14,9 @@ from cluttergen_jax.learning.networks import cloud_encoder
 from cluttergen_jax.learning.networks.actor_critic import ActorCritic
 from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.networks.distributions import ActionDistribution
+from cluttergen_jax.placement import Rules
 from cluttergen_jax.placement.clouds import BARE, placed_points
 from cluttergen_jax.placement.observation import ObservationConfig
-from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.types import Array
 
 _SIDE = 64

@@ -13,7 +13,7 @@ from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpo
 from cluttergen_jax.learning.policies.embedded import find_policy, list_policies
 from cluttergen_jax.learning.policies.guided import KIND, load_guided
 from cluttergen_jax.learning.policies.policy import load_policy
-from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement import PlacementConfig, Proposer, Rules, Setup
 from cluttergen_jax.placement.methods.table import (
     BASELINES,
     LEARNED,
@@ -23,11 +23,7 @@ from cluttergen_jax.placement.methods.table import (
     find_method,
     make_proposer,
 )
-from cluttergen_jax.placement.problem import Setup
-from cluttergen_jax.placement.region import KeepOut
 from cluttergen_jax.placement.rollout import BlockSampler
-from cluttergen_jax.placement.rules import Proposer, Rules
-from cluttergen_jax.placement.types import Start
 
 # What a user gets unasked; the second where no checkpoint of the first is embedded.
 DEFAULT_METHOD = "guided"
@@ -126,14 +122,7 @@ def sampler_of(setup: Setup, method: Method) -> BlockSampler:
     """Episodes of a method, which looks back on as much as it was trained with; errors: `proposer_of`."""
     rules = setup.problem.rules
     rules = replace(rules, config=with_history_of(rules.config, method.checkpoint))
-    return block_sampler_of(method, rules, setup.keep_out, setup.start)
-
-
-def block_sampler_of(
-    method: Method, rules: Rules, keep_out: KeepOut | None = None, start: Start | None = None
-) -> BlockSampler:
-    """Episodes of a method by these rules; errors: `proposer_of`."""
     sampler: BlockSampler = episodes_of(method.name)(
-        rules, proposer_of(*method, rules), keep_out, start
+        rules, proposer_of(*method, rules), setup.keep_out, setup.start
     )
     return sampler

@@ -32,10 +32,9 @@ if TYPE_CHECKING:
     )
     from cluttergen_jax.rendering.sheet import contact_sheet, save_png, with_caption, with_frame
     from cluttergen_jax.rendering.variation import (
-        NUM_TEXTURES,
         TEXTURES_OF,
         add_table_materials,
-        table_material,
+        table_materials,
     )
     from cluttergen_jax.rendering.viewer.scene_nodes import SceneNodes, add_ghost, aim
     from cluttergen_jax.rendering.viewer.viewer import announce, open_server
@@ -53,7 +52,7 @@ __getattr__, __all__ = offer(
         "renderer": ("HIDDEN_GROUP", "Renderer", "Trail", "open_renderer", "set_range"),
         "scene_renderer": ("PictureConfig", "RED", "RenderStyle", "open_scene_renderer"),
         "sheet": ("contact_sheet", "save_png", "with_caption", "with_frame"),
-        "variation": ("NUM_TEXTURES", "TEXTURES_OF", "add_table_materials", "table_material"),
+        "variation": ("TEXTURES_OF", "add_table_materials", "table_materials"),
         "viewer.scene_nodes": ("SceneNodes", "add_ghost", "aim"),
         "viewer.viewer": ("announce", "open_server"),
     },

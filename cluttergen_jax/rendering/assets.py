@@ -124,11 +124,11 @@ def object_sheet(
 
 _SURFACE_VIEW = CameraView(elevation=-20.0)
 _LIFTED = 0.003
+_SUPPORT_WIDTH = 760
+_SUPPORT_HEIGHT = 620
 
 
-def support_sheet(
-    support: SupportAsset, width: int = 760, height: int = 620, samples: int = 24
-) -> np.ndarray:
+def support_sheet(support: SupportAsset) -> np.ndarray:
     """A support with its surfaces outlined and numbered, and beside it its collision.
 
     Thick lines are outlines and the edges of holes, thin ones the regions queried by default.
@@ -149,14 +149,14 @@ def support_sheet(
         render_model,
         spec.compile(),
         qpos,
-        width=width,
-        height=height,
+        width=_SUPPORT_WIDTH,
+        height=_SUPPORT_HEIGHT,
         focus=points,
-        samples=samples,
+        samples=24,
     )
     for view in (_SURFACE_VIEW, replace(_SURFACE_VIEW, azimuth=_SURFACE_VIEW.azimuth + 180.0)):
         image = draw(camera=view, trails=trails)
-        seen = fit_camera(points, view, width, height).project(np.array(spots))[0]
+        seen = fit_camera(points, view, _SUPPORT_WIDTH, _SUPPORT_HEIGHT).project(np.array(spots))[0]
         labels = [
             Ring(
                 (float(x), float(y)),

@@ -81,7 +81,7 @@ def _add_materials(spec: mujoco.MjSpec) -> None:
             geom.material = _MATTE
 
 
-def add_lighting(spec: mujoco.MjSpec, *, floor: bool = True) -> mujoco.MjSpec:
+def add_lighting(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     """Adds light, a floor at z = 0, a background and matte surfaces to `spec`, and returns it.
 
     Nothing that is added touches anything or has mass: the physics stays what it was. Call it last, before
@@ -90,8 +90,7 @@ def add_lighting(spec: mujoco.MjSpec, *, floor: bool = True) -> mujoco.MjSpec:
     _add_materials(spec)
     _add_background(spec)
     _add_lights(spec)
-    if floor:
-        _add_floor(spec)
+    _add_floor(spec)
     spec.visual.quality.shadowsize = 2048
     spec.visual.quality.offsamples = 0
     return spec

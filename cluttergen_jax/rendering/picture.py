@@ -21,7 +21,6 @@ from cluttergen_jax.rendering.renderer import (
     set_range,
 )
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
-from cluttergen_jax.sensing.camera import Camera
 
 __all__ = ["contact_sheet", "distinct_colour", "render_model", "save_png"]
 
@@ -61,22 +60,11 @@ def prepare_model(
     return model, is_drawn
 
 
-def _named_camera(model: mujoco.MjModel, name: str) -> mujoco.MjvCamera:
-    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, name)
-    if index < 0:
-        names = [model.camera(i).name for i in range(model.ncam)]
-        raise ConfigError(f"camera={name!r}", f"a CameraView, or one of {names}")
-    camera = mujoco.MjvCamera()
-    camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
-    camera.fixedcamid = index
-    return camera
-
-
 def render_model(
     model: mujoco.MjModel,
     qpos: np.ndarray | None = None,
     *,
-    camera: CameraView | str = DEFAULT_VIEW,
+    camera: CameraView = DEFAULT_VIEW,
     width: int = 640,
     height: int = 480,
     hulls: bool = False,
@@ -94,7 +82,7 @@ def render_model(
     Args:
       model: any compiled model; geoms of group 2 are drawn.
       qpos: f64[nq]; None is the model's qpos0.
-      camera: a view that is fitted to the content, or the name of a camera of the model.
+      camera: a view that is fitted to the content.
       width, height: pixels, each in [16, 8192].
       hulls: draw the collision geoms (group 3) instead, each in a colour of its own.
       show: names of the bodies to draw beside the world's own geoms; None draws all.
@@ -107,7 +95,7 @@ def render_model(
 
     Raises:
       RendererError: nothing here can draw.
-      ConfigError: a size, a body or a camera that cannot be.
+      ConfigError: a size or a body that cannot be.
     """
     check_size(width, height, samples)
     model, is_drawn = prepare_model(model, hulls, show)
@@ -115,19 +103,13 @@ def render_model(
     if qpos is not None:
         data.qpos[:] = qpos
     mujoco.mj_forward(model, data)
-    view = camera if isinstance(camera, CameraView) else DEFAULT_VIEW
     content = drawn_points(model, data, is_drawn)
     if len(content) == 0:
         raise ConfigError(
             "a model with nothing to draw", "geoms of group 2, or of group 3 with hulls=True"
         )
     content = np.concatenate([content, *(trail.points for trail in trails)])
-    reach = set_range(model, content, view, width, height)
-    if isinstance(camera, CameraView):
-        eye: Camera | mujoco.MjvCamera = fit_camera(
-            content if focus is None else focus, view, width, height
-        )
-    else:
-        eye = _named_camera(model, camera)
+    reach = set_range(model, content, camera, width, height)
+    eye = fit_camera(content if focus is None else focus, camera, width, height)
     with open_renderer(model, width, height) as renderer:
         return renderer.average(data, eye, samples, reach, trails=trails)

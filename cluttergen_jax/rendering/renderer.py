@@ -91,7 +91,7 @@ class Renderer:
     def average(
         self,
         data: mujoco.MjData,
-        camera: Camera | mujoco.MjvCamera,
+        camera: Camera,
         samples: int,
         reach: float,
         alpha: np.ndarray | None = None,
@@ -101,7 +101,7 @@ class Renderer:
         """The mean of `samples` pictures with the lights and the pixel grid moved a little between them.
 
         Args:
-          camera: of the size of the pictures; or one of MuJoCo's, such as a named one of the model.
+          camera: of the size of the pictures.
           reach: the content's radius, metres.
           alpha: f[nbody], the opacity of each body; None draws all.
           trails: lines to draw as well.
@@ -134,9 +134,7 @@ class Renderer:
             self.model.geom_group[:] = groups
         return np.flipud((total + samples // 2) // samples).astype(np.uint8)
 
-    def measure(
-        self, data: mujoco.MjData, camera: Camera | mujoco.MjvCamera
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def measure(self, data: mujoco.MjData, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
         """What each pixel's middle sees: metres along the line of sight's axis, and which geom.
 
         Returns:
@@ -166,13 +164,12 @@ class Renderer:
         depth = np.where(raw > 0, 1 / inverse, np.inf).astype(np.float32)
         return np.flipud(depth).copy(), np.flipud(geom_of[number]).copy()
 
-    def _update(self, data: mujoco.MjData, camera: Camera | mujoco.MjvCamera) -> None:
+    def _update(self, data: mujoco.MjData, camera: Camera) -> None:
         # Another renderer may have drawn into a buffer of its own since.
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
-        seen = orbit_camera(camera) if isinstance(camera, Camera) else camera
+        seen = orbit_camera(camera)
         mujoco.mjv_updateScene(self.model, data, self._option, None, seen, _EVERYTHING, self._scene)
-        if isinstance(camera, Camera):
-            set_view(self._scene, camera)
+        set_view(self._scene, camera)
         self._scene.flags[mujoco.mjtRndFlag.mjRND_HAZE] = 1
 
     def _add(self, trail: Trail) -> None:

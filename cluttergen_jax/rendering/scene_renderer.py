@@ -78,6 +78,7 @@ class PictureConfig:
 # Metres; degrees of elevation.
 _HIGH_RIM = 0.05
 _INTO = -55.0
+_NUM_TURNS = 36
 
 
 class SceneRenderer:
@@ -265,13 +266,13 @@ def _fit_camera(content: np.ndarray, points: np.ndarray, picture: PictureConfig)
     return fit_camera(shown, picture.view, picture.width, picture.height)
 
 
-def turntable_points(points: np.ndarray, num_turns: int = 36) -> np.ndarray:
+def turntable_points(points: np.ndarray) -> np.ndarray:
     """f64[P', 3]: a box that holds `points` at every turn about the vertical axis through their middle."""
     center = (points.min(0) + points.max(0)) / 2
     radius = np.linalg.norm(points[:, :2] - center[:2], axis=1).max()
-    turn = 2 * np.pi * np.arange(num_turns) / num_turns
+    turn = 2 * np.pi * np.arange(_NUM_TURNS) / _NUM_TURNS
     ring = center[:2] + radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     heights = corners(points.min(0), points.max(0))[:, 2]
     return np.concatenate(
-        [np.column_stack([ring, np.full(num_turns, z)]) for z in np.unique(heights)]
+        [np.column_stack([ring, np.full(_NUM_TURNS, z)]) for z in np.unique(heights)]
     )

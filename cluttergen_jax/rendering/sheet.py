@@ -15,6 +15,7 @@ from cluttergen_jax.files import file_whole
 
 _GAP = 8
 _CAPTION_HEIGHT = 24
+_FRAME = 5
 _PAPER = (255, 255, 255)
 _INK = (40, 44, 52)
 
@@ -183,12 +184,12 @@ def with_caption(
     return np.asarray(picture.convert("RGB"))
 
 
-def with_frame(image: np.ndarray, rgb: tuple[float, float, float], width: int = 5) -> np.ndarray:
-    """uint8[H, W, 3]: the picture with a frame over its edge, so many pixels wide."""
+def with_frame(image: np.ndarray, rgb: tuple[float, float, float]) -> np.ndarray:
+    """uint8[H, W, 3]: the picture with a frame over its edge."""
     framed = np.empty_like(image)
     framed[:] = _bytes(rgb)
-    inside = (slice(width, -width), slice(width, -width))
-    framed[inside] = image[inside]
+    inside = slice(_FRAME, -_FRAME)
+    framed[inside, inside] = image[inside, inside]
     return framed
 
 

@@ -14,6 +14,7 @@ from cluttergen_jax.rendering.lighting import FLOOR, KEY_LIGHT, SKY_LIGHT
 NUM_TEXTURES = 20
 TEXTURES_OF = {"train": range(16), "val": range(16, 18), "test": range(18, NUM_TEXTURES)}
 """By split: what is chosen on the split `val` is judged on textures that are in no other."""
+_MATERIAL = "table-{:02d}"
 _SIDE = 128
 _DARKEST = 0.15
 _BRIGHTEST = 0.9
@@ -44,15 +45,10 @@ def table_texture(number: int) -> np.ndarray:
     return np.round(255 * np.clip(base + share * (other - base), 0, 1)).astype(np.uint8)
 
 
-def table_material(number: int) -> str:
-    """The name of a table texture's material."""
-    return f"table-{number:02d}"
-
-
 def add_table_materials(spec: mujoco.MjSpec) -> None:
     """Adds a material for each table texture."""
     for number in range(NUM_TEXTURES):
-        name = table_material(number)
+        name = _MATERIAL.format(number)
         pixels = table_texture(number)
         image = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D)
         image.width = _SIDE
@@ -61,6 +57,11 @@ def add_table_materials(spec: mujoco.MjSpec) -> None:
         image.data = pixels.tobytes()
         material = spec.add_material(name=name, specular=0.1, shininess=0.2, texrepeat=(2, 2))
         material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+
+
+def table_materials(model: mujoco.MjModel) -> list[int]:
+    """The material of each table texture, of a model with `add_table_materials`."""
+    return [model.material(_MATERIAL.format(number)).id for number in range(NUM_TEXTURES)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,9 +119,7 @@ class Appearance:
         self._floor = model.geom(FLOOR).id
         self._rgba = model.geom_rgba.copy()
         self._lamps = {name: model.light(name).diffuse.copy() for name in (KEY_LIGHT, SKY_LIGHT)}
-        self._materials = [
-            model.material(table_material(number)).id for number in range(NUM_TEXTURES)
-        ]
+        self._materials = table_materials(model)
 
     def set_light(self, light: Light) -> None:
         """Light for the next pictures; how its lamps are turned is told to them."""

@@ -1,8 +1,7 @@
-"""What a camera sees of a scene: cameras, depth and labels by rays, noise, partial height maps; no JAX."""
+"""What a camera sees of a scene: cameras, depth and labels by rays, partial height maps; no JAX."""
 
 from cluttergen_jax.sensing.camera import (
     REALSENSE_FOCAL,
-    REALSENSE_SIZE,
     Camera,
     CameraPlan,
     find_preset,
@@ -10,8 +9,8 @@ from cluttergen_jax.sensing.camera import (
     intrinsics,
     overhead,
     parse_cameras,
+    realsense_focal,
 )
-from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE, NoiseConfig, noisy
 from cluttergen_jax.sensing.partial import Grid, PartialMap, level_camera, merge_maps
 from cluttergen_jax.sensing.rays import (
     FIRST_OBJECT,
@@ -21,6 +20,7 @@ from cluttergen_jax.sensing.rays import (
     Instance,
     InstanceSensor,
     RaySensor,
+    View,
     cast_rays,
     sensed_model,
 )
@@ -28,10 +28,7 @@ from cluttergen_jax.sensing.rays import (
 __all__ = [
     "FIRST_OBJECT",
     "FLOOR",
-    "NOISE_OFF",
-    "REALSENSE",
     "REALSENSE_FOCAL",
-    "REALSENSE_SIZE",
     "SUPPORT",
     "Camera",
     "CameraPlan",
@@ -39,17 +36,17 @@ __all__ = [
     "Grid",
     "Instance",
     "InstanceSensor",
-    "NoiseConfig",
     "PartialMap",
     "RaySensor",
+    "View",
     "cast_rays",
     "find_preset",
     "free",
     "intrinsics",
     "level_camera",
     "merge_maps",
-    "noisy",
     "overhead",
     "parse_cameras",
+    "realsense_focal",
     "sensed_model",
 ]

@@ -180,6 +180,11 @@ def intrinsics(width: int, height: int, focal: float) -> np.ndarray:
     return np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
 
 
+def realsense_focal(width: int) -> float:
+    """The focal length of a RealSense's depth image at a picture's width, both in pixels."""
+    return REALSENSE_FOCAL * width / REALSENSE_SIZE[0]
+
+
 def overhead(
     support: SupportAsset, width: int = SIZE[0], height: int = SIZE[1], focal: float = FOCAL
 ) -> Camera:
@@ -317,7 +322,7 @@ class CameraPlan:
         width, height = self.size
         if self.stored is not None:
             return _place_camera(self.stored, self.size, support, rng)
-        focal = REALSENSE_FOCAL * width / REALSENSE_SIZE[0]
+        focal = realsense_focal(width)
         if self.kind == "free":
             return free(support, rng, width, height, focal)
         if self.kind == "overhead":
@@ -450,7 +455,7 @@ def _place_camera(
         K = np.array(stored.K, np.float64)
         K[:2] *= np.array([[scale], [height / stored.height]])
     else:
-        focal = stored.focal or REALSENSE_FOCAL * stored.width / REALSENSE_SIZE[0]
+        focal = stored.focal or realsense_focal(stored.width)
         if stored.fovy is not None:
             focal = 0.5 * stored.height / math.tan(math.radians(stored.fovy) / 2)
         K = intrinsics(width, height, focal * scale)

@@ -39,17 +39,9 @@ from cluttergen_jax.kept_folder import FolderLock
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.rendering.variation import TEXTURES_OF
 from cluttergen_jax.schema import SchemaError, convert, parse_json
-from cluttergen_jax.sensing import (
-    REALSENSE_FOCAL,
-    REALSENSE_SIZE,
-    Camera,
-    CameraPlan,
-    Instance,
-    free,
-)
+from cluttergen_jax.sensing import Camera, CameraPlan, Instance, View, free, realsense_focal
 from cluttergen_jax.views.images import depth_png, png_of
-from cluttergen_jax.views.maker import ViewMaker
-from cluttergen_jax.views.view import SeenScene, View
+from cluttergen_jax.views.maker import SeenScene, ViewMaker
 
 SPLIT = "train_synt"
 """Training images, synthetic."""
@@ -61,7 +53,6 @@ DEPTH_SCALE = 0.1
 _SPLIT_NAME = re.compile(r"(train|val|test)(_[A-Za-z0-9][A-Za-z0-9_-]*)?")
 _NUMBER = re.compile(r"\d{6,}")
 _HALF = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
-_SAME = 1e-3
 _DIGITS = 6
 _VARIED = 13
 
@@ -178,13 +169,12 @@ class BopScenes:
     def _cameras(self, scene: SeenScene) -> list[Camera]:
         config = self._config
         support = scene.camera_support
-        width = self._picture.width
-        height = self._picture.height
-        focal = REALSENSE_FOCAL * width / REALSENSE_SIZE[0]
+        size = (self._picture.width, self._picture.height)
         rng = np.random.default_rng([config.seed, scene.number])
         if config.cameras is not None:
             return [plan.draw(support, rng) for plan in config.cameras]
-        return [free(support, rng, width, height, focal) for _ in range(config.views)]
+        focal = realsense_focal(size[0])
+        return [free(support, rng, *size, focal) for _ in range(config.views)]
 
     def _origin(self, scene: SeenScene) -> SceneOrigin:
         what = {
@@ -227,10 +217,9 @@ class BopScenes:
         # Cameras of one's own may differ in what they see; each view's intrinsics are beside it.
         if cameras is not None or not path.is_file():
             return
-        width = self._picture.width
-        height = self._picture.height
-        focal = REALSENSE_FOCAL * width / REALSENSE_SIZE[0]
-        asked = self._dataset.sensor(Camera.looking(np.zeros(3), np.ones(3), width, height, focal))
+        size = (self._picture.width, self._picture.height)
+        any_camera = Camera.looking(np.zeros(3), np.ones(3), *size, realsense_focal(size[0]))
+        asked = self._dataset.sensor(any_camera)
         there = json.loads(path.read_bytes())
         if differing := [name for name, value in asked.items() if there.get(name) != value]:
             had = ", ".join(f"{name} {there.get(name)}" for name in differing)
@@ -397,17 +386,14 @@ def add_models(folder: Path, objects: Sequence[ObjectAsset]) -> dict[str, int]:
     ids = {info["name"]: int(key) for key, info in infos.items()}
     new: dict[int, ObjectAsset] = {}
     for asset in sorted({each.name: each for each in objects}.values(), key=lambda each: each.name):
-        pieces = drawn_pieces(asset)
-        extent = _extent(np.concatenate([piece.mesh.vertices for piece in pieces]) * 1000)
         key = ids.setdefault(asset.name, len(ids) + 1)
         if (known := infos.get(str(key))) is None:
             new[key] = asset
+            pieces = asset.drawn_pieces
+            extent = _extent(np.concatenate([piece.mesh.vertices for piece in pieces]) * 1000)
             source = {"name": asset.name, "label": asset.label, **asset.provenance.record()}
             infos[str(key)] = source | {"hash": object_hash(asset)} | extent | _symmetries(pieces)
-        # Earlier versions kept no digest.
-        elif any(abs(known[name] - value) > _SAME for name, value in extent.items()) or (
-            "hash" in known and known["hash"] != object_hash(asset)
-        ):
+        elif known["hash"] != object_hash(asset):
             raise ConfigError(
                 f"{folder}: another model of the name {asset.name!r} is there",
                 "objects of one pool in one dataset",
@@ -419,17 +405,12 @@ def add_models(folder: Path, objects: Sequence[ObjectAsset]) -> dict[str, int]:
     return ids
 
 
-def drawn_pieces(asset: ObjectAsset) -> tuple[Piece, ...]:
-    """The asset's coloured surfaces; its collision parts where it has none."""
-    return asset.pieces or tuple(Piece(part.hull()) for part in asset.parts)
-
-
 def model_ply(asset: ObjectAsset) -> bytes:
     """The surfaces as one ASCII PLY: millimetres, object frame, normals and colours at the vertices."""
     rows = []
     faces = []
     count = 0
-    for piece in drawn_pieces(asset):
+    for piece in asset.drawn_pieces:
         surface = shade(piece.mesh, piece.uv)
         colour = np.tile(np.array(piece.rgba[:3]), (len(surface.vertices), 1))
         if piece.texture is not None and surface.uv is not None:
@@ -581,9 +562,8 @@ def _read_origin(scene: Path) -> SceneOrigin:
         return convert(parse_json((scene / ORIGIN).read_bytes()), SceneOrigin)
     except (OSError, SchemaError) as error:
         raise ConfigError(
-            f"{scene} does not say which scene it is: {ORIGIN} is damaged, or missing as in datasets of "
-            "earlier versions",
-            "scenes that `render` of this version has added",
+            f"{scene} does not say which scene it is: {ORIGIN} is missing or damaged",
+            "scenes that `render` or `dataset` has added",
             "another `split`, or another `out`",
         ) from error
 
@@ -592,8 +572,6 @@ def _check_alike(folder: Path, number: int, there: SceneOrigin, asked: SceneOrig
     """Refuses a scene that is there and was seen otherwise."""
     names = dict.fromkeys([*asked.settings, *there.settings])
     differing = [name for name in names if there.settings.get(name) != asked.settings.get(name)]
-    # Earlier versions did not say it.
-    differing = [name for name in differing if name != "smoothing" or name in there.settings]
     if differing:
         wanted = ", ".join(f"{name} {asked.settings.get(name)}" for name in differing)
         had = ", ".join(f"{name} {there.settings.get(name)}" for name in differing)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
@@ -19,7 +18,6 @@ from cluttergen_jax.cluster import Cluster, each_on
 from cluttergen_jax.config import DatasetForm, Variation
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import remove_partial, write_atomically, writing
-from cluttergen_jax.kept_folder import hold
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.rendering.config import QUALITIES, Quality
@@ -31,19 +29,16 @@ from cluttergen_jax.schema import digest_of
 from cluttergen_jax.sensing import CameraPlan
 from cluttergen_jax.statistics import share_out
 from cluttergen_jax.views.bop import BopConfig, BopScenes
-from cluttergen_jax.views.maker import ViewMaker
+from cluttergen_jax.views.maker import SeenScene, ViewMaker
 from cluttergen_jax.views.shards import (
     SCENES_PER_SHARD,
+    VIEWS,
     ShardForm,
-    begin_record,
-    dataset_folder,
     encode_rows,
     is_whole_shard,
     row_of,
     shard_name,
-    write_record,
 )
-from cluttergen_jax.views.view import SeenScene
 
 _SPLIT_DRAW = 11
 # Metres beside the region, and above and below the top: what light and shadows are made for.
@@ -158,13 +153,11 @@ class DatasetPlan:
             there = least[place] if least else 0
             known = list(rounds[place]) if rounds else []
             is_old = _is_within(good, known)
-            kept = int(is_old.sum()) if known else len(good)
-            if not len(good) or kept < there:
+            if not len(good) or int(is_old.sum()) < there:
                 given = f"{path}: {len(good)} of its scenes stand"
                 allowed = f"at least the {there} that the dataset has" if there else ""
                 raise BankError(given, allowed, "more scenes")
-            # Records of earlier versions have no rounds.
-            most = len(good) if num_scenes is None else max(num_scenes, 0 if known else there)
+            most = len(good) if num_scenes is None else num_scenes
             good = good[is_old | (np.arange(len(good)) < most)]
             fresh = index[(index <= good[-1]) & ~_is_within(index, known)]
             if np.isin(fresh, good).any():
@@ -186,24 +179,18 @@ class DatasetPlan:
 
     def num_views(self) -> dict[str, int]:
         """Of each split."""
-        total = Counter[str]()
+        total = dict.fromkeys(self.shares, 0)
         for shard in self.shards:
-            total.update(
-                {
-                    split: len(some) * len(self.config.cameras)
-                    for split, some in shard.scenes.items()
-                }
-            )
-        return {split: total[split] for split in self.shares}
+            for split, some in shard.scenes.items():
+                total[split] += len(some) * len(self.config.cameras)
+        return total
 
     def recipe(self) -> dict[str, Any]:
         """What decides every view but which there are."""
         config = self.config
         return {
             "banks": list(map(_bank_record, self.banks)),
-            "cameras": [
-                _plain(asdict(plan)) | {"stored": repr(plan.stored)} for plan in config.cameras
-            ],
+            "cameras": [asdict(plan) | {"stored": repr(plan.stored)} for plan in config.cameras],
             "shares": self.shares,
             "seed": config.seed,
             "vary": list(config.vary),
@@ -221,10 +208,6 @@ def _bank_record(path: Path) -> dict[str, Any]:
     told = {"name": path.resolve().name, "recipe": bank.recipe}
     # Cameras of earlier versions stood about the middle of the support.
     return told if region_of(bank) == bank.support.region else told | {"cameras_about": "region"}
-
-
-def _plain(values: dict[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in values.items() if name != "stored"}
 
 
 def _splits_of(
@@ -357,9 +340,9 @@ def make(
 ) -> ViewDataset:
     """A dataset in a folder, begun or continued; see `cluttergen_jax.make_dataset`."""
     recipe = DatasetPlan.of(banks, shares, num_scenes, config).recipe() | {"form": form}
-    with hold(dataset_folder(out).lock()), writing(out):
+    with VIEWS.hold(out), writing(out):
         remove_partial(out)
-        known = begin_record(out, recipe)
+        known = VIEWS.begin(out, recipe)
         there = known.get("num_scenes", ())
         rounds = known.get("rounds", ())
         plan = DatasetPlan.of(banks, shares, num_scenes, config, there, rounds)
@@ -371,12 +354,12 @@ def make(
         record["rounds"] = list(plan.rounds)
         # Before the first file: another call shares its scenes out as this one does.
         digests = known.get("shards", {})
-        write_record(out, record if form == "bop" else record | {"shards": digests})
+        VIEWS.write_record(out, record if form == "bop" else record | {"shards": digests})
         if form == "bop":
             _make_bop(plan, out)
         else:
             shards = _make_shards(plan, out, form, cluster, digests)
-            write_record(out, record | {"shards": shards})
+            VIEWS.write_record(out, record | {"shards": shards})
     return ViewDataset(out, form, plan.num_views())
 
 
@@ -393,11 +376,11 @@ def _make_shards(
     }
 
     def is_there(shard: Shard) -> bool:
-        return all(
-            is_whole_shard(out / name, form, len(some) * num_cameras, digests.get(name))
-            for split, some in shard.scenes.items()
-            for name in (names[shard, split],)
-        )
+        for split, some in shard.scenes.items():
+            name = names[shard, split]
+            if not is_whole_shard(out / name, form, len(some) * num_cameras, digests.get(name)):
+                return False
+        return True
 
     missing = [shard for shard in plan.shards if not is_there(shard)]
     total = sum(plan.num_views().values())

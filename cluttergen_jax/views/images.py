@@ -11,8 +11,7 @@ from PIL import Image
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.picture import distinct_colour
-from cluttergen_jax.sensing import FIRST_OBJECT, FLOOR, SUPPORT, Camera
-from cluttergen_jax.views.view import View
+from cluttergen_jax.sensing import FIRST_OBJECT, FLOOR, SUPPORT, Camera, View
 
 MILLIMETRE = 0.001
 TENTH_OF_A_MILLIMETRE = 0.0001
@@ -26,12 +25,6 @@ def depth_levels(depth: np.ndarray, step: float) -> np.ndarray:
     """
     levels = np.where(np.isfinite(depth), np.round(depth / step), 0.0)
     return np.where(levels <= np.iinfo(np.uint16).max, levels, 0).astype(np.uint16)
-
-
-def depth_of(levels: np.ndarray, steps_a_metre: int) -> np.ndarray:
-    """f32[H, W]: metres, inf where nothing is; the inverse of `depth_levels`."""
-    metres = levels / np.float32(steps_a_metre)
-    return np.where(levels > 0, metres, np.inf).astype(np.float32)
 
 
 def depth_png(depth: np.ndarray, step: float = MILLIMETRE) -> bytes:

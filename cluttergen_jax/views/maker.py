@@ -1,17 +1,18 @@
-"""The maker of views: a scene, cameras, and what they see: colours, depth, labels, silhouettes."""
+"""The maker of views: a scene before cameras, and what they see: colours, depth, labels, silhouettes."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
 from cluttergen_jax.assets.mjcf import VISUAL_GROUP
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.config import Variation
 from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.scene_renderer import (
@@ -23,11 +24,33 @@ from cluttergen_jax.rendering.scene_renderer import (
     scene_camera,
 )
 from cluttergen_jax.rendering.variation import Appearance, add_table_materials, draw_light
-from cluttergen_jax.sensing import FIRST_OBJECT, Camera, InstanceSensor
-from cluttergen_jax.views.view import View
+from cluttergen_jax.sensing import FIRST_OBJECT, Camera, InstanceSensor, View
 
 MOST_TOGETHER = 300
 """Objects of one model, unless it is said otherwise."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeenScene:
+    """A scene before cameras, of N objects.
+
+    Attributes:
+      number: in its bank. names: unique ones, of the objects.
+      objects: the same asset may come several times. poses: f64[N, 7], T_world_object, metres, wxyz.
+      support: what carries them. region: that the scene was made in, about which cameras stand.
+    """
+
+    number: int
+    names: Sequence[str]
+    objects: Sequence[ObjectAsset]
+    poses: np.ndarray
+    support: SupportAsset
+    region: Rectangle
+
+    @property
+    def camera_support(self) -> SupportAsset:
+        """The support as cameras are placed by it."""
+        return replace(self.support, region=self.region)
 
 
 class ViewMaker:

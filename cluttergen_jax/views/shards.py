@@ -19,17 +19,16 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cluttergen_jax.errors import BankError
-from cluttergen_jax.files import write_atomically
-from cluttergen_jax.kept_folder import KeptFolder, check_recipe
-from cluttergen_jax.schema import SchemaError, checked_record, digest_of, with_checksum
-from cluttergen_jax.sensing import Instance
+from cluttergen_jax.schema import digest_of
+from cluttergen_jax.sensing import Instance, View
+from cluttergen_jax.stores import BlockStore
 from cluttergen_jax.views.images import depth_png, label_image, png_of
-from cluttergen_jax.views.view import SeenScene, View
+from cluttergen_jax.views.maker import SeenScene
 
 ShardForm = Literal["parquet", "webdataset"]
 ENDINGS: dict[ShardForm, str] = {"parquet": "parquet", "webdataset": "tar"}
-INDEX = "dataset.json"
+VIEWS = BlockStore("views", "dataset.json", "views of scenes", "cluttergen dataset")
+"""Folders of datasets of views."""
 _IMAGES = ("rgb", "depth", "label", "amodal")
 SCENES_PER_SHARD = 64
 
@@ -160,41 +159,3 @@ def is_whole_shard(path: Path, form: ShardForm, num_views: int, digest: str | No
             return sum(name.endswith(".json") for name in tar.getnames()) == num_views
     except (OSError, pa.ArrowException, tarfile.TarError):
         return False
-
-
-def dataset_folder(path: Path, content: str = "views") -> KeptFolder:
-    """The folder of a dataset of views, or of other `content`, which may not exist yet."""
-    return KeptFolder(
-        path,
-        is_whole=lambda folder: (folder / INDEX).is_file(),
-        refusal="{path} exists and holds no dataset of " + content,
-        is_begun=lambda each: False,
-    )
-
-
-def begin_record(path: Path, recipe: dict[str, Any], content: str = "views") -> dict[str, Any]:
-    """What is known of a dataset; empty where it is begun now, and then it says how it is made.
-
-    Raises:
-      BankError: it was made otherwise, or its record is damaged.
-    """
-    file = path / INDEX
-    if not file.exists():
-        write_record(path, {"recipe": recipe}, content)
-        return {}
-    try:
-        known = checked_record(file.read_bytes())
-        theirs = known["recipe"]
-    except (OSError, SchemaError, KeyError) as error:
-        raise BankError(f"{file} cannot be read ({error})", hint="another `out`") from error
-    check_recipe(path, f"{content} made", recipe, theirs)
-    return known
-
-
-def write_record(path: Path, record: dict[str, Any], content: str = "views") -> None:
-    """Stores the record of a dataset."""
-    text = (
-        json.dumps(with_checksum({"format": 1, "kind": f"{content} of scenes", **record}), indent=1)
-        + "\n"
-    )
-    write_atomically(path / INDEX, text.encode(), is_durable=True)

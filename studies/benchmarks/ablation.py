@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.config import Preset
-from cluttergen_jax.learning.ppo.checkpoint import check_folder, has_state, read_record
-from cluttergen_jax.learning.training.interrupt import Interrupt
-from cluttergen_jax.learning.training.metrics_log import read_rows
+from cluttergen_jax.learning.ppo.checkpoint import has_state, read_record
 from cluttergen_jax.learning.training.presets import Settings
+from cluttergen_jax.learning.training.run_folder import Interrupt, RunFolder
+from cluttergen_jax.learning.training.run_logger import read_rows
 from cluttergen_jax.learning.training.train import TrainConfig, recipe_of, run_training
 from studies.benchmarks.section import prose, report, table
 from studies.benchmarks.trained import WINDOW, success_of
@@ -100,7 +100,7 @@ def train(
       ConfigError: its folder holds a run with other settings.
     """
     config, settings = settings_of(row, out, pool, num_attempts, seed, encoder, **given)
-    check_folder(config.folder, recipe_of(config, settings))
+    RunFolder(config.folder, recipe_of(config, settings))
     if not is_finished(config.folder):
         run_training(config, settings, interrupt=interrupt)
 

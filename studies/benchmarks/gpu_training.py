@@ -16,10 +16,10 @@ import cluttergen_jax as cg
 from cluttergen_jax.learning.agents import make_agent
 from cluttergen_jax.learning.ppo.checkpoint import read_record
 from cluttergen_jax.learning.ppo.ppo import PPO, TrainState
-from cluttergen_jax.learning.training.interrupt import Interrupt
-from cluttergen_jax.learning.training.metrics_log import read_rows
 from cluttergen_jax.learning.training.presets import gpu as preset_gpu
 from cluttergen_jax.learning.training.presets import paper as preset_paper
+from cluttergen_jax.learning.training.run_folder import Interrupt
+from cluttergen_jax.learning.training.run_logger import read_rows
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 from studies.benchmarks.ablation import Row as Run

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from cluttergen_jax.learning.ppo.checkpoint import read_record
-from cluttergen_jax.learning.training.metrics_log import read_rows
+from cluttergen_jax.learning.training.run_logger import read_rows
 from cluttergen_jax.learning.training.suite import DEFAULT_ATTEMPTS, DEFAULT_OBJECTS
 from studies.benchmarks.section import prose, report, table
 

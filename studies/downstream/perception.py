@@ -8,17 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.downstream.perception.api import perception_data, perception_eval
-from cluttergen_jax.downstream.perception.evaluate import (
-    TRUE_MASKS,
-    PerceptionResult,
-    PerceptionRow,
-)
-from cluttergen_jax.downstream.perception.scoring import MaskFigures
-from cluttergen_jax.downstream.placer.evaluation.tables import Row, with_interval
+from cluttergen_jax.downstream.placer.evaluate import Row, with_interval
 from cluttergen_jax.statistics import proportion, share_row
 from cluttergen_jax.tables import Table
 from studies.downstream.suite_folder import SuiteFolder
+from studies.perception.api import perception_data, perception_eval
+from studies.perception.evaluate import TRUE_MASKS, PerceptionResult, PerceptionRow
+from studies.perception.scoring import MaskFigures
 from studies.study import Findings, Study
 
 POOL = "household"

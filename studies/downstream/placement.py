@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from cluttergen_jax.downstream.placer.evaluation.evaluate import (
+from cluttergen_jax.downstream.placer.evaluate import (
     PlacerComparison,
     PlacerTrials,
+    cell,
+    chain_table,
     compare_placers,
+    tables_of,
 )
-from cluttergen_jax.downstream.placer.evaluation.tables import cell, chain_table, tables_of
-from cluttergen_jax.downstream.placer.heads.checkpoint import embedded_placers
 from cluttergen_jax.downstream.placer.proposers import BASELINES, FULL_STATE
+from cluttergen_jax.downstream.placer.scored import embedded_placers
 from cluttergen_jax.tables import Table
 from studies.downstream.suite_folder import NOISES, SETS, PlacementSet, SuiteFolder
 from studies.downstream.trained import Variant, group_by_seed, rows_of, table_of

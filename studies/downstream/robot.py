@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.downstream.placer.evaluation.tables import Row, with_interval
+from cluttergen_jax.downstream.placer.evaluate import Row, with_interval
 from cluttergen_jax.downstream.rearrange.api import rearrange
 from cluttergen_jax.downstream.rearrange.task import SETTINGS
 from cluttergen_jax.downstream.rearrange.trials import Rearrangements

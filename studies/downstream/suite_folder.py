@@ -9,12 +9,12 @@ from typing import Any, Literal, get_args
 
 from cluttergen_jax.config import check_range
 from cluttergen_jax.downstream.fitting import FitConfig
-from cluttergen_jax.downstream.perception.pose.icp import need_gicp
+from cluttergen_jax.downstream.perception.registration import need_gicp
 from cluttergen_jax.downstream.placer.api import placer_data
-from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerTrials
-from cluttergen_jax.downstream.placer.examples import ExampleSource
-from cluttergen_jax.downstream.placer.pairs.store import PairSet
-from cluttergen_jax.downstream.placer.training import PlacerTraining, head_of_name
+from cluttergen_jax.downstream.placer.evaluate import PlacerTrials
+from cluttergen_jax.downstream.placer.pairs import PairSet
+from cluttergen_jax.downstream.placer.scored import head_of_name
+from cluttergen_jax.downstream.placer.training import ExampleSource, PlacerTraining
 from cluttergen_jax.downstream.robot.description import find_robot
 from cluttergen_jax.downstream.words import MAX_PAIRS, PlacerHead, PlacerNoise, SensedFrom
 from cluttergen_jax.errors import ConfigError, closest

@@ -8,16 +8,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerTrials
-from cluttergen_jax.downstream.placer.evaluation.tables import (
+from cluttergen_jax.downstream.placer.evaluate import (
     MAIN,
     NOTES,
+    PlacerTrials,
     Row,
     main_cells,
     with_interval,
 )
-from cluttergen_jax.downstream.placer.examples import TESTING
-from cluttergen_jax.downstream.placer.heads.checkpoint import embedded_placers
+from cluttergen_jax.downstream.placer.scored import embedded_placers
+from cluttergen_jax.downstream.placer.training import TESTING
 from cluttergen_jax.statistics import wilson
 from cluttergen_jax.tables import Table
 from studies.downstream.suite_folder import (

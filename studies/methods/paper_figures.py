@@ -22,7 +22,7 @@ from cluttergen_jax.evaluation.plots import (
 from cluttergen_jax.evaluation.records import Row, Spread
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.trial import Trial, grid
-from cluttergen_jax.learning.training.metrics_log import read_rows
+from cluttergen_jax.learning.training.run_logger import read_rows
 from cluttergen_jax.learning.training.suite import DEFAULT_ATTEMPTS, TABLE_ATTEMPTS
 from cluttergen_jax.placement.methods.table import BASELINES
 from studies.cells import BOTH, LOOSE, STEPS, STRICT, columns_of, mean_and_spread

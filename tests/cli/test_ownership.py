@@ -70,9 +70,6 @@ WRITERS = {
     "placer data": Writing("placer data {bank} --out {out}"),
     "placer train": Writing("placer train {out} --out {out}"),
     "placer eval": Writing("placer eval {out} --out {out}"),
-    "perception data": Writing("perception data --pool {trio} --arm 0 --out {out}"),
-    "perception train": Writing("perception train {out} --out {out}"),
-    "perception eval": Writing("perception eval {out} --out {out}"),
     "robot grasps": Writing(
         "robot grasps {trio} --out {out}.parquet", "{out}.parquet", is_beside=True
     ),

@@ -99,7 +99,6 @@ def test_regions_that_grow_in_evaluation_may_be_wider_than_the_top(tmp_path):
         ["rearrange"],
         ["render", "bank"],
         ["placer", "data", "bank"],
-        ["perception", "data"],
     ],
 )
 def test_a_file_in_the_place_of_the_folder_is_explained(words, tmp_path, monkeypatch, capsys):
@@ -126,7 +125,6 @@ def test_a_file_in_the_place_of_the_folder_is_explained(words, tmp_path, monkeyp
             "--out s3://bucket/name. Allowed: a folder on this",
         ),
         (["placer", "data", "--out", "s3://bucket/name"], "Allowed: a folder on this machine"),
-        (["perception", "data", "--out", "file:///views"], "Allowed: a folder on this machine"),
         (["render", "bank", "--sheet", "--columns", "0"], "--columns 0. Allowed: 1 to 1000"),
         (["render", "bank", "--bop", "--views", "99999"], "--views 99999. Allowed: 1 to 10000"),
         (["render", "bank", "--samples", "100000"], "1 to 4096 samples"),

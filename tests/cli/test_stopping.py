@@ -7,14 +7,14 @@ import threading
 
 import pytest
 
-from cluttergen_jax.learning.training.interrupt import Interrupt
+from cluttergen_jax.learning.training.run_folder import Interrupt
 
 # A call that takes minutes and answers no signal, as a compilation does.
 BUSY = """
 import hashlib, signal, threading
 from contextlib import nullcontext
 from cluttergen_jax.cli import main
-from cluttergen_jax.learning.training.interrupt import Interrupt
+from cluttergen_jax.learning.training.run_folder import Interrupt
 main.GRACE = 0.4
 signal.signal(signal.SIGINT, main._on_interrupt)
 main.watch_signals(main._on_interrupt)

@@ -5,10 +5,11 @@ import json
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.placer.pairs.store import read_pairs
+from cluttergen_jax.downstream.placer.pairs import read_pairs
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.learning.ppo.ppo import PPOConfig
 from studies.downstream.suite_folder import DownstreamScale
+from studies.perception.api import perception_data, perception_eval, perception_train
 from tests.helpers.fuzzed_files import load_pairs, pairs_of, write_pairs
 from tests.helpers.records import unsigned
 
@@ -60,18 +61,18 @@ HUGE = 10**12
         (lambda folder: cg.placer_train(folder, num_pairs=HUGE), "num_pairs.*10000000"),
         (lambda folder: cg.placer_train(folder, num_epochs=HUGE), "num_epochs.*1000000"),
         (lambda folder: cg.placer_eval(folder, num_pairs=HUGE), "num_pairs.*10000000"),
-        (lambda folder: cg.perception_data(folder, num_views=HUGE), "num_views.*1000000"),
-        (lambda folder: cg.perception_data(folder, num_views=0), "num_views"),
+        (lambda folder: perception_data(folder, num_views=HUGE), "num_views.*1000000"),
+        (lambda folder: perception_data(folder, num_views=0), "num_views"),
         (lambda folder: cg.placer_data(folder, support="tilted_board_5"), "slopes by 5 degrees"),
         (
             lambda folder: cg.placer_data(folder, spec=cg.SceneSpec(support="rack", surface="all")),
             "2 surf",
         ),
-        (lambda folder: cg.perception_data(folder, split="tests"), "split"),
-        (lambda folder: cg.perception_data(folder, arm=1.5), "arm"),
-        (lambda folder: cg.perception_data(folder, arm=0.0, num_objects=99), "num_objects"),
-        (lambda folder: cg.perception_train(folder, num_views=HUGE), "num_views.*1000000"),
-        (lambda folder: cg.perception_eval(folder, num_views=HUGE), "num_views.*1000000"),
+        (lambda folder: perception_data(folder, split="tests"), "split"),
+        (lambda folder: perception_data(folder, arm=1.5), "arm"),
+        (lambda folder: perception_data(folder, arm=0.0, num_objects=99), "num_objects"),
+        (lambda folder: perception_train(folder, num_views=HUGE), "num_views.*1000000"),
+        (lambda folder: perception_eval(folder, num_views=HUGE), "num_views.*1000000"),
         (lambda folder: cg.evaluate(trials=HUGE), "trials.*1000000"),
         (lambda folder: cg.generate(folder, num_scenes=HUGE), "num_scenes.*2000000000"),
         (lambda folder: DownstreamScale(num_pairs=HUGE), "num_pairs.*10000000"),

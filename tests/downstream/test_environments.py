@@ -22,7 +22,7 @@ from gymnasium.utils.env_checker import check_env
 import cluttergen_jax as cg
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.downstream.environments import scripted
-from cluttergen_jax.downstream.environments.arm import GripShare
+from cluttergen_jax.downstream.environments.world import GripShare
 from cluttergen_jax.downstream.transforms import motion_between
 from cluttergen_jax.errors import ConfigError
 from tests.helpers.arm import ALONG_X, untested_grasp

@@ -3,8 +3,8 @@
 import pytest
 
 from cluttergen_jax import placer_data, placer_eval, placer_train
-from cluttergen_jax.downstream.placer.heads.scored import ScoredPlacer
 from cluttergen_jax.downstream.placer.proposers import find_placer
+from cluttergen_jax.downstream.placer.scored import ScoredPlacer
 
 pytestmark = pytest.mark.slow
 SCENES = {"pool": "household", "support": "table-0.40x0.30", "num_objects": 2, "method": "random"}

@@ -178,8 +178,11 @@ from cluttergen_jax.assets.object_files import object_hash  # noqa: E402
 from cluttergen_jax.downstream.rearrange.episode import rearrange_episode  # noqa: E402
 from cluttergen_jax.downstream.rearrange.observe import TrueObserver  # noqa: E402
 from cluttergen_jax.downstream.rearrange.task import RearrangeOptions  # noqa: E402
-from cluttergen_jax.downstream.robot.grasping.grasps import GraspSets, write_grasps  # noqa: E402
-from cluttergen_jax.downstream.robot.grasping.own_grasps import GraspFinder  # noqa: E402
+from cluttergen_jax.downstream.robot.grasping.grasps import (  # noqa: E402
+    GraspFinder,
+    GraspSets,
+    write_grasps,
+)
 from cluttergen_jax.downstream.robot.motion.plan import Planner  # noqa: E402
 from cluttergen_jax.downstream.robot.trials import run_trials  # noqa: E402
 
@@ -270,7 +273,7 @@ def test_the_arm_goes_the_ways_of_an_own_planner_by_own_grasps(tmp_path):
     assert place(Straight(), tmp_path).rows == found.rows
     with pytest.raises(BankError, match="another planner"):
         place(None, tmp_path)
-    with pytest.raises(BankError, match="another grasps of blue"):
+    with pytest.raises(BankError, match=r"another grasps\.blue"):
         place(planner, tmp_path, {"blue": (POSE, [0.05])})
 
 

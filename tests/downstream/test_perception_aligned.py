@@ -7,11 +7,11 @@ import pytest
 
 pytest.importorskip("small_gicp", reason="needs the extra perception")
 
-from cluttergen_jax.downstream.perception.camera_correction import correct_camera
-from cluttergen_jax.downstream.perception.pose.models import ObjectModel
+from cluttergen_jax.downstream.perception.corrections import correct_camera
+from cluttergen_jax.downstream.perception.object_model import ObjectModel
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.geometry import yaw_matrix
-from cluttergen_jax.views.view import View
+from cluttergen_jax.sensing import View
 from tests.helpers.perception import OBJECTS, POSES, TABLE, overhead, view_of
 
 MODELS = [ObjectModel.of(each) for each in OBJECTS]

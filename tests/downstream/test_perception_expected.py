@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from cluttergen_jax.downstream.perception.mask_correction import correct_masks, find_unexplained
-from cluttergen_jax.downstream.perception.pose.compare import render_alone
-from cluttergen_jax.downstream.perception.pose.models import ObjectModel
+from cluttergen_jax.downstream.perception.corrections import correct_masks, find_unexplained
+from cluttergen_jax.downstream.perception.object_model import ObjectModel, render_alone
 from cluttergen_jax.downstream.perception.types import ARM, BACKGROUND, FIRST_OBJECT
 from cluttergen_jax.downstream.transforms import matrix_of
-from cluttergen_jax.views.view import View
+from cluttergen_jax.sensing import View
 from tests.helpers.perception import OBJECTS, POSES, TABLE, overhead, view_of
 
 RED, GREEN, BLUE = (FIRST_OBJECT + k for k in range(3))

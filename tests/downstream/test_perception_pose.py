@@ -10,24 +10,21 @@ pytest.importorskip("small_gicp", reason="needs the extra perception")
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.symmetry import turn_matrix
-from cluttergen_jax.downstream.perception.certainty import (
+from cluttergen_jax.downstream.perception.corrections import PosePhysicsCheck
+from cluttergen_jax.downstream.perception.finder import (
     FEATURES,
     Certainty,
+    SceneFinder,
     read_certainty,
-    reliability,
-    write_certainty,
 )
-from cluttergen_jax.downstream.perception.finder import SceneFinder
-from cluttergen_jax.downstream.perception.pose.compare import Comparer
-from cluttergen_jax.downstream.perception.pose.models import ObjectModel
-from cluttergen_jax.downstream.perception.pose.pose_physics_check import PosePhysicsCheck
-from cluttergen_jax.downstream.perception.pose.registration import RegistrationEstimator
+from cluttergen_jax.downstream.perception.object_model import Comparer, ObjectModel
+from cluttergen_jax.downstream.perception.registration import RegistrationEstimator
 from cluttergen_jax.downstream.robot.cameras import FOCAL, SIZE
-from cluttergen_jax.downstream.transforms import matrix_of, offset
+from cluttergen_jax.downstream.transforms import matrix_of, offset, turn_matrix
 from cluttergen_jax.errors import PoolError
+from cluttergen_jax.sensing import View
 from cluttergen_jax.sensing.camera import Camera
-from cluttergen_jax.views.view import View
+from studies.perception.evaluate import fit_certainty, reliability, write_certainty
 from tests.helpers.perception import OBJECTS, POSES, TABLE, ByColour, overhead, standing, view_of
 from tests.helpers.placing import with_surface
 from tests.helpers.worlds import box
@@ -140,7 +137,7 @@ def test_certainty_is_fitted_to_what_was_right(tmp_path):
     features = np.column_stack([np.ones(4000), *(rng.uniform(0, 1, (len(FEATURES) - 1, 4000)))])
     true = np.array([-3.0, 4.0, 2.0, 1.0, 0.0, 0.0, 1.0])
     right = rng.uniform(size=4000) < 1 / (1 + np.exp(-features @ true))
-    fitted = Certainty().fit_to(features, right)
+    fitted = fit_certainty(features, right)
     np.testing.assert_allclose(fitted.weights, true, atol=0.5)
     for mean, share, count in reliability(fitted(features), right):
         assert count < 200 or abs(mean - share) < 0.06

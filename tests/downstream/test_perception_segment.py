@@ -8,34 +8,24 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.downstream.fitting import FitConfig
-from cluttergen_jax.downstream.perception.scoring import is_good
-from cluttergen_jax.downstream.perception.segment.network import (
+from cluttergen_jax.downstream.perception.segmenter import (
     HEIGHT,
     NO_DEPTH,
     WIDTH,
-    SegmentConfig,
-    SegmentLearner,
-    _mirror,
-    shrink,
-    shrink_label,
-)
-from cluttergen_jax.downstream.perception.segment.network_segmenter import (
     NetworkSegmenter,
+    SegmentConfig,
+    SegmentModel,
     enlarge,
     load_segmenter,
     segmenter_folder,
+    shrink,
 )
-from cluttergen_jax.downstream.perception.segment.training import SegmenterTraining, example_of
-from cluttergen_jax.downstream.perception.types import (
-    FIRST_OBJECT,
-    check_images,
-    confusion,
-    intersection_over_union,
-    iou_of,
-)
+from cluttergen_jax.downstream.perception.types import FIRST_OBJECT, check_images
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
-from cluttergen_jax.learning.training.metrics_log import read_rows
+from cluttergen_jax.learning.training.run_logger import read_rows
+from studies.perception.scoring import confusion, intersection_over_union, iou_of, is_good
+from studies.perception.training import SegmenterTraining, _mirror, example_of, shrink_label
 from tests.helpers.perception import OBJECTS, POSES, TABLE, ByColour, drawn_view, overhead, view_of
 
 SMALL = SegmentConfig(3, (8, 8, 16, 16))
@@ -171,7 +161,7 @@ def test_gradient_steps_lower_the_loss_and_leave_a_segmenter(trained):
 
 
 def stored(folder, **changes):
-    learner = SegmentLearner(SMALL)
+    learner = SegmentModel(SMALL)
     shapes = jax.eval_shape(learner.init, jax.random.key(0))
     params = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
     record = {

@@ -7,16 +7,12 @@ import pytest
 
 from cluttergen_jax.downstream.perception.frames import Frame, read_frame, write_frame
 from cluttergen_jax.downstream.perception.types import ARM, FIRST_OBJECT
-from cluttergen_jax.downstream.perception.views import store as stored
-from cluttergen_jax.downstream.perception.views.maker import (
-    PerceptionViewConfig,
-    PerceptionViews,
-    write_views,
-)
-from cluttergen_jax.downstream.perception.views.store import VIEWS, row_of
 from cluttergen_jax.downstream.robot.cameras import SIZE
 from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.views.view import View
+from cluttergen_jax.sensing import View
+from studies.perception import view_store as stored
+from studies.perception.view_maker import PerceptionViewConfig, PerceptionViews, write_views
+from studies.perception.view_store import VIEWS, row_of
 from tests.helpers.drawing import IS_DRAWING, STATUS, needs_gl
 from tests.helpers.perception import POSES, overhead, view_of
 from tests.helpers.placing import seen_trio, write_bank
@@ -108,8 +104,8 @@ def test_the_same_settings_make_the_same_views_and_more_goes_on(views, bank, tmp
     assert np.array_equal(short[1].view.rgb, list(more.views("train"))[1].view.rgb)
     with pytest.raises(BankError, match="another seed"):
         write_views(more.path, {"made": bank}, "train", 6, PerceptionViewConfig(seed=6, arm=0.0))
-    record = json.loads((more.path / VIEWS.index).read_text())
-    (more.path / VIEWS.index).write_text(json.dumps(unsigned(record) | {"names": ["a"]}))
+    record = json.loads((more.path / VIEWS.store.index).read_text())
+    (more.path / VIEWS.store.index).write_text(json.dumps(unsigned(record) | {"names": ["a"]}))
     with pytest.raises(BankError, match="other objects"):
         write_views(more.path, {"made": bank}, "train", 6, CONFIG)
 

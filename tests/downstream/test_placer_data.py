@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.placer.evaluation.bench import Bench
+from cluttergen_jax.downstream.noise import REALSENSE
+from cluttergen_jax.downstream.placer import pair_maker as data
+from cluttergen_jax.downstream.placer import pairs
+from cluttergen_jax.downstream.placer.bench import Bench
 from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
-from cluttergen_jax.downstream.placer.pairs import maker as data
-from cluttergen_jax.downstream.placer.pairs import store as pairs
-from cluttergen_jax.downstream.placer.pairs.store import load_queries, read_pairs
+from cluttergen_jax.downstream.placer.pairs import load_queries, read_pairs
 from cluttergen_jax.downstream.placer.query import Proposals
 from cluttergen_jax.downstream.samples import SPLITS
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.placement.heightmap import VOID
-from cluttergen_jax.sensing.noise import REALSENSE
 from cluttergen_jax.types import Verdict
 from tests.helpers.placing import write_bank
 from tests.helpers.records import unsigned

@@ -9,12 +9,12 @@ import pytest
 from scipy.ndimage import minimum_filter
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.placer.evaluation import bench as bench_module
-from cluttergen_jax.downstream.placer.evaluation.bench import ProposalOutcomes
-from cluttergen_jax.downstream.placer.evaluation.tables import figures_of
-from cluttergen_jax.downstream.placer.pairs import maker as data
-from cluttergen_jax.downstream.placer.pairs import store as pairs
-from cluttergen_jax.downstream.placer.pairs.store import load_queries
+from cluttergen_jax.downstream.placer import bench as bench_module
+from cluttergen_jax.downstream.placer import pair_maker as data
+from cluttergen_jax.downstream.placer import pairs
+from cluttergen_jax.downstream.placer.bench import ProposalOutcomes
+from cluttergen_jax.downstream.placer.evaluate import figures_of
+from cluttergen_jax.downstream.placer.pairs import load_queries
 from cluttergen_jax.downstream.samples import SPLITS
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.heightmap import VOID, HeightMapper

@@ -14,9 +14,8 @@ pytest.importorskip("ompl", reason="needs the extra robot")
 pytest.importorskip("toppra", reason="needs the extra robot")
 
 from cluttergen_jax.downstream.rearrange import trials as rearrange_trials
-from cluttergen_jax.downstream.rearrange.episode import rearrange_episode
+from cluttergen_jax.downstream.rearrange.episode import Moves, rearrange_episode
 from cluttergen_jax.downstream.rearrange.judge import RearrangementJudge
-from cluttergen_jax.downstream.rearrange.moves import Moves
 from cluttergen_jax.downstream.rearrange.observe import (
     Cause,
     TrueObserver,
@@ -204,15 +203,15 @@ def test_interrupted_trials_go_on_and_rows_of_other_settings_are_refused(made_ro
     again = run(SETTINGS["paper"], RearrangeOptions(), 7, 0, tmp_path)
     assert len(made_rows) == len(set(made_rows)) == 7
     assert list(map(repr, again.rows[:4])) == list(map(repr, first.rows))
-    with pytest.raises(BankError, match="made otherwise"):
+    with pytest.raises(BankError, match="rows made with another"):
         run(SETTINGS["paper"], RearrangeOptions(order="lowest"), 4, 0, tmp_path)
-    with pytest.raises(BankError, match="made otherwise"):
+    with pytest.raises(BankError, match="rows made with another"):
         run(SETTINGS["paper"], RearrangeOptions(), 4, 0, tmp_path, observer=Shifted([0, 0, 0]))
     other = TrueObserver()
     other.weights = "of another network"
-    with pytest.raises(BankError, match="made otherwise"):
+    with pytest.raises(BankError, match="rows made with another"):
         run(SETTINGS["paper"], RearrangeOptions(), 4, 0, tmp_path, observer=other)
-    with pytest.raises(BankError, match="made otherwise"):
+    with pytest.raises(BankError, match="rows made with another"):
         run(SETTINGS["paper"], RearrangeOptions(), 4, 0, tmp_path, ask=lambda *told: 0)
     for name in ("registration", "weights"):
         other = TrueObserver()

@@ -8,12 +8,12 @@ from shapely.geometry import MultiPoint
 pytest.importorskip("mink", reason="needs the extra robot")
 
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.assets.symmetry import ROUND, turn_matrix, turn_symmetry
+from cluttergen_jax.assets.symmetry import ROUND, turn_symmetry
 from cluttergen_jax.downstream.rearrange.layouts import (
     choose_unlike,
     clearance_of,
 )
-from cluttergen_jax.downstream.transforms import equal_places, offset
+from cluttergen_jax.downstream.transforms import equal_places, offset, turn_matrix
 from cluttergen_jax.evaluation.measures.diversity import embed
 from cluttergen_jax.geometry import transform_points, yaw_quaternion
 from tests.helpers.worlds import box, prism

@@ -21,17 +21,19 @@ from cluttergen_jax.cli.main import main
 from cluttergen_jax.downstream.rearrange import starts as rearrange_starts
 from cluttergen_jax.downstream.rearrange.api import _own_scenes
 from cluttergen_jax.downstream.rearrange.episode import rearrange_episode
-from cluttergen_jax.downstream.rearrange.goals import (
+from cluttergen_jax.downstream.rearrange.layouts import AREA, reached_part
+from cluttergen_jax.downstream.rearrange.observe import TrueObserver
+from cluttergen_jax.downstream.rearrange.starts import (
     BankGoals,
+    OwnScenes,
     RelationGoals,
+    Starts,
     is_bank,
     parse_goal,
     task_words,
 )
-from cluttergen_jax.downstream.rearrange.layouts import AREA, reached_part
-from cluttergen_jax.downstream.rearrange.observe import TrueObserver
-from cluttergen_jax.downstream.rearrange.starts import OwnScenes, Starts
 from cluttergen_jax.downstream.rearrange.task import SETTINGS, RearrangeOptions
+from cluttergen_jax.downstream.robot import find_robot
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.scene.bank.scene import read_scenes
 from tests.helpers import arm
@@ -110,7 +112,9 @@ def starts(monkeypatch):
         def __missing__(self, name):
             return (pose, [0.04])
 
-    return lambda setting=two, **own: Starts(setting, "boxes", 1, Any(), None, OwnScenes(**own))
+    return lambda setting=two, **own: Starts(
+        setting, "boxes", 1, Any(), None, OwnScenes(**own), find_robot()
+    )
 
 
 def test_what_a_relation_is_said_of_moves_and_all_else_stays(starts):

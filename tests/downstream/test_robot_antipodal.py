@@ -6,7 +6,7 @@ import pytest
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.downstream.robot.grasping.antipodal import FRICTION, Union, sample_pairs
+from cluttergen_jax.downstream.robot.grasping.candidates import FRICTION, Union, sample_pairs
 from tests.helpers.worlds import box
 from tests.sensing.scenes import model_of
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 import cluttergen_jax as cg
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.downstream.robot.description import find_robot
-from cluttergen_jax.downstream.robot.grasping import grasp_dataset, vgn
+from cluttergen_jax.downstream.robot.grasping import grasp_dataset
 from cluttergen_jax.downstream.robot.grasping.clutter import (
     LiftEnd,
     LiftScene,
@@ -146,22 +146,28 @@ def test_free_ones_are_kept_up_to_a_half():
 
 def test_a_volume_is_half_at_the_surface_and_grows_in_front_of_it():
     support = find_support("table")
-    T_world_task = vgn.task_frame(support)
-    middle = (T_world_task @ [vgn.SIZE / 2, vgn.SIZE / 2, vgn.DEPTH, 1])[:3]
+    T_world_task = grasp_dataset.task_frame(support)
+    middle = (
+        T_world_task @ [grasp_dataset.CUBE / 2, grasp_dataset.CUBE / 2, grasp_dataset.FINGER, 1]
+    )[:3]
     np.testing.assert_allclose(middle, support.region_points[0])
     camera = Camera.looking(
-        middle + np.array([0.01, 0, 0.6]), middle, vgn.WIDTH, vgn.HEIGHT, vgn.FOCAL
+        middle + np.array([0.01, 0, 0.6]),
+        middle,
+        grasp_dataset.WIDTH,
+        grasp_dataset.HEIGHT,
+        grasp_dataset.FOCAL,
     )
     scene = Scene((), (), np.zeros((0, 7)), support)
     depth = StillScene(scene, PANDA).depth(camera)
-    column = vgn.tsdf_grid([depth], [camera], T_world_task)[0, 20, 20]
-    voxel = vgn.SIZE / vgn.RESOLUTION
-    height = (np.arange(vgn.RESOLUTION) + 0.5) * voxel - vgn.DEPTH
+    column = grasp_dataset.tsdf_grid([depth], [camera], T_world_task)[0, 20, 20]
+    voxel = grasp_dataset.CUBE / grasp_dataset.RESOLUTION
+    height = (np.arange(grasp_dataset.RESOLUTION) + 0.5) * voxel - grasp_dataset.FINGER
     near = np.abs(height) < 0.9 * 4 * voxel
     np.testing.assert_allclose(column[near], (height[near] / (4 * voxel) + 1) / 2, atol=0.01)
     assert (column[np.abs(height) > 4 * voxel] == 0).all()
     # What was not measured is 0, too.
-    assert not vgn.tsdf_grid([np.full_like(depth, np.nan)], [camera], T_world_task).any()
+    assert not grasp_dataset.tsdf_grid([np.full_like(depth, np.nan)], [camera], T_world_task).any()
 
 
 @pytest.fixture(scope="module")
@@ -199,7 +205,7 @@ def test_all_formats_hold_the_same_grasps(made):
     assert [int(each["label"]) for each in told] == [
         int(row["lift"] == "lifted") for row in expected
     ]
-    T_world_task = vgn.task_frame(find_support("table"))
+    T_world_task = grasp_dataset.task_frame(find_support("table"))
     for each, row in zip(told, expected, strict=True):
         turn = Rotation.from_quat(
             [float(each[name]) for name in ("qx", "qy", "qz", "qw")]
@@ -208,7 +214,7 @@ def test_all_formats_hold_the_same_grasps(made):
         tool = shift_along(tool, (0, 0, 0.045))
         np.testing.assert_allclose(tool, matrix_of(np.array(row["pose"])), atol=1e-6)
     voxels = list(csv.DictReader((made.path / "voxels/grasps.csv").open()))
-    scale = vgn.SIZE / vgn.RESOLUTION
+    scale = grasp_dataset.CUBE / grasp_dataset.RESOLUTION
     for each, other in zip(told, voxels, strict=True):
         assert float(other["k"]) * scale == pytest.approx(float(each["z"]), abs=1e-6)
         assert float(other["width"]) * scale == pytest.approx(float(each["width"]), abs=1e-6)
@@ -217,7 +223,7 @@ def test_all_formats_hold_the_same_grasps(made):
 def test_what_was_seen_fits_to_where_it_was_seen_from(made, bank):
     for scene in range(3):
         raw = np.load(made.path / f"raw/scenes/{scene:06d}.npz")
-        assert raw["depth_imgs"].shape == (2, vgn.HEIGHT, vgn.WIDTH)
+        assert raw["depth_imgs"].shape == (2, grasp_dataset.HEIGHT, grasp_dataset.WIDTH)
         grid = np.load(made.path / f"voxels/scenes/{scene:06d}.npz")["grid"]
         assert grid.shape == (1, 40, 40, 40)
         assert 0 < grid.max() < 1
@@ -238,7 +244,7 @@ def test_what_was_seen_fits_to_where_it_was_seen_from(made, bank):
             [*(seen * image[rows, columns]), image[rows, columns], np.ones(len(rows))]
         )
         heights = (inverse(T_camera_task) @ points)[2]
-        assert np.median(np.abs(heights[heights < 0.06] - vgn.DEPTH)) < 0.006
+        assert np.median(np.abs(heights[heights < 0.06] - grasp_dataset.FINGER)) < 0.006
 
 
 def test_threads_and_interruptions_change_nothing(made, bank, tmp_path, monkeypatch):

@@ -168,7 +168,7 @@ def test_a_robot_is_found_in_its_model(robot):
 
 
 def test_a_pedestal_is_drawn_and_changes_nothing():
-    plain, drawn = (arm_spec(ContactConfig()) for _ in range(2))
+    plain, drawn = (arm_spec(ContactConfig(), find_robot()) for _ in range(2))
     add_pedestal(drawn, np.array([0.0, 0.0, 0.7]), 0.0)
     add_pedestal(drawn, np.array([0.0, 0.0, 0.0]), 0.0)
     models = [each.compile() for each in (plain, drawn)]

@@ -14,7 +14,7 @@ from mujoco.rollout import Rollout
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.downstream.robot.description import find_robot
 from cluttergen_jax.downstream.robot.grasping import grasps as kept
-from cluttergen_jax.downstream.robot.grasping.candidates import Candidates
+from cluttergen_jax.downstream.robot.grasping.candidates import GraspCandidates
 from cluttergen_jax.downstream.robot.grasping.grasp_check import (
     MAX_LOAD,
     MAX_SHIFT,
@@ -39,7 +39,7 @@ DOWN = np.diag([1.0, -1.0, -1.0])
 def from_above(*heights, width=0.04):
     """The tool over the middle of an object at these heights, closing along y."""
     pose = rigid(np.stack([DOWN] * len(heights)), np.array([[0, 0, z] for z in heights]))
-    return Candidates(pose, np.full(len(heights), width), np.ones(len(heights), bool))
+    return GraspCandidates(pose, np.full(len(heights), width), np.ones(len(heights), bool))
 
 
 def test_a_firm_grasp_holds_and_one_of_a_heavy_or_slippery_thing_does_not():
@@ -85,7 +85,7 @@ def test_the_brief_check_tells_firm_grasps_from_those_that_slip():
 def cube_grasps():
     cube = box("cube", (0.02, 0.03, 0.04), mass=0.3)
     with Rollout(nthread=0) as pool:
-        return cube, make_grasps(cube, 12, 0, pool)
+        return cube, make_grasps(cube, 12, 0, pool, find_robot())
 
 
 def test_a_box_has_grasps_across_both_of_its_narrow_sides(cube_grasps):

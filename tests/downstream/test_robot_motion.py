@@ -17,8 +17,7 @@ from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.downstream.robot.description import find_robot
 from cluttergen_jax.downstream.robot.episode import (
     EpisodeWorld,
-    lift_episode,
-    place_episode,
+    robot_episode,
 )
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.model import base_pose, hand_spec, with_robot
@@ -72,12 +71,14 @@ LIMITS = (find_robot().arm.speed, find_robot().arm.acceleration)
 
 @pytest.fixture(scope="module")
 def kinematics():
-    return ArmKinematics(base_pose(TABLE))
+    return ArmKinematics(base_pose(TABLE), find_robot())
 
 
 @pytest.fixture
 def world():
-    return PlanningWorld(SCENE.names, SCENE.objects, SCENE.poses, TARGET, TABLE, base_pose(TABLE))
+    return PlanningWorld(
+        SCENE.names, SCENE.objects, SCENE.poses, TARGET, TABLE, base_pose(TABLE), find_robot()
+    )
 
 
 @pytest.fixture(scope="module")
@@ -286,7 +287,7 @@ def honest(monkeypatch):
 
 def test_a_cube_is_brought_from_the_stand_among_others_by_the_motors_alone(grasps, honest):
     place = SCENE.poses[[TARGET]]
-    result = place_episode(SCENE, TARGET, grasps, place, seed=1)
+    result = robot_episode(SCENE, TARGET, grasps, 1, place)
     assert result.outcome == Outcome.SUCCESS, result
     assert result.error < 0.002
     assert result.displaced < 1e-4
@@ -307,22 +308,22 @@ def test_causes_of_failure_are_told_apart(grasps):
             for name in ("pose", "held", "width", "shift", "slip", "turn", "margin", "is_low")
         },
     )
-    assert lift_episode(SCENE, TARGET, none, 0).outcome == Outcome.NO_GRASP
+    assert robot_episode(SCENE, TARGET, none, 0).outcome == Outcome.NO_GRASP
     far = SCENE.poses.copy()
     far[TARGET, :2] = 0.28, 0.33
-    assert lift_episode(replace(SCENE, poses=far), TARGET, grasps, 0).outcome == Outcome.NO_IK
+    assert robot_episode(replace(SCENE, poses=far), TARGET, grasps, 0).outcome == Outcome.NO_IK
     boxed = SCENE.poses.copy()
     boxed[0] = standing(0.15, 0.0, LOW)
     boxed[0, 2] += 0.08
-    assert lift_episode(replace(SCENE, poses=boxed), TARGET, grasps, 0).outcome == Outcome.NO_GRASP
+    assert robot_episode(replace(SCENE, poses=boxed), TARGET, grasps, 0).outcome == Outcome.NO_GRASP
     ice = replace(CUBE, friction=0.01)
     slippery = replace(SCENE, objects=(LOW, WALL, ice))
-    assert lift_episode(slippery, TARGET, grasps, 0).outcome == Outcome.SLIP
+    assert robot_episode(slippery, TARGET, grasps, 0).outcome == Outcome.SLIP
 
 
 def test_the_arm_holds_things_by_the_detector_with_which_grasps_are_tested():
     scene = replace(SCENE, stability=replace(SCENE.stability, both_detectors=True))
-    tested = hand_spec(scene.contact).compile()
+    tested = hand_spec(scene.contact, find_robot()).compile()
     assert scene.to_mjspec().compile().opt.disableflags != tested.opt.disableflags
     assert with_robot(scene).compile().opt.disableflags == tested.opt.disableflags
 
@@ -331,8 +332,8 @@ def test_an_unplanned_contact_stops_the_arm(kinematics):
     episode_world = EpisodeWorld(SCENE, TARGET, (), 0)
     start = next(kinematics.solutions(rigid(DOWN, np.array([0.15, 0.0, TOP + 0.15])), 1))
     run = episode_world.execution
-    run.follow(run.motion_along(np.linspace(kinematics.home, start, 20)), Phase.FREE)
+    run.follow(np.linspace(kinematics.home, start, 20), Phase.FREE)
     with pytest.raises(Failed) as told:
-        run.follow(run.motion_along(kinematics.line(start, np.array([0, 0, -0.12]))), Phase.FREE)
+        run.follow(kinematics.line(start, np.array([0, 0, -0.12])), Phase.FREE)
     assert told.value.outcome == Outcome.CONTACT
     assert "cube" in told.value.detail or "wall" in told.value.detail

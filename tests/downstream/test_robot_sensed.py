@@ -10,15 +10,21 @@ pytest.importorskip("toppra", reason="needs the extra robot")
 
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.downstream.placer.proposers import find_placer
+from cluttergen_jax.downstream.robot import find_robot
 from cluttergen_jax.downstream.robot.cameras import above, wrist_camera
-from cluttergen_jax.downstream.robot.episode import Referee, sensing_place_episode
+from cluttergen_jax.downstream.robot.episode import Referee, robot_episode
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.motion import collision, execute
-from cluttergen_jax.downstream.robot.motion.collision import Mode, PlanningWorld
+from cluttergen_jax.downstream.robot.motion.collision import (
+    CELL,
+    THIN,
+    Mode,
+    PlanningWorld,
+    occupancy_boxes,
+)
 from cluttergen_jax.downstream.robot.motion.execute import Execution
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
-from cluttergen_jax.downstream.robot.motion.occupancy_boxes import CELL, THIN, occupancy_boxes
 from cluttergen_jax.downstream.robot.outcome import Outcome
 from cluttergen_jax.downstream.robot.places import CameraPlacer
 from cluttergen_jax.downstream.robot.sensing_arm import ArmSilhouette
@@ -123,9 +129,9 @@ def test_the_arm_keeps_its_distance_from_columns_but_may_lower_what_it_holds_bes
     height = np.zeros((40, 40), np.float32)
     height[:20] = 0.12
     columns = occupancy_boxes(partial_map(height, height, yaw=0.0))
-    kinematics = ArmKinematics(base_pose(TABLE))
+    kinematics = ArmKinematics(base_pose(TABLE), find_robot())
     world = PlanningWorld(
-        ("box",), (BOX,), SCENE.poses, 0, TABLE, base_pose(TABLE), columns=columns
+        ("box",), (BOX,), SCENE.poses, 0, TABLE, base_pose(TABLE), find_robot(), columns=columns
     )
     edge = 0.02
     turn = np.diag([1.0, -1, -1])
@@ -149,7 +155,7 @@ def test_pixels_of_the_arm_and_what_it_brings_are_known_from_its_joints(is_aside
     execution = Execution(SCENE, 0)
     if is_aside:
         execution.data.qpos[execution.arm.qpos[0]] -= 1.3
-    own = ArmSilhouette(base_pose(TABLE), BOX)
+    own = ArmSilhouette(base_pose(TABLE), find_robot(), BOX)
     seen = 0
     for camera in (above(TABLE), wrist_camera(execution.tool)):
         covered = own(camera, execution.joints, execution.opening, SCENE.poses[0])
@@ -199,7 +205,7 @@ def withheld(monkeypatch):
 
 
 def test_a_box_is_placed_by_what_cameras_see_alone(scene, placer, grasps, withheld):
-    result = sensing_place_episode(scene, 2, grasps, placer, seed=1)
+    result = robot_episode(scene, 2, grasps, 1, placer)
     assert result.outcome == Outcome.SUCCESS, result
     assert result.placer == "geometry"
     assert result.looks == 3

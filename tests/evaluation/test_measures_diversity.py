@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.support import Rectangle
@@ -16,7 +17,6 @@ from cluttergen_jax.evaluation.measures.diversity import (
     plan_box_area,
     plan_clusters,
     plan_entropy,
-    scene_distances,
     scene_kernel,
     vendi_score,
 )
@@ -28,6 +28,10 @@ TOP = 0.7
 HALVES = ((0.02, 0.1, 0.03), (0.05, 0.05, 0.01), (0.03, 0.04, 0.05))
 OBJECTS = [box(f"box-{n}", half) for n, half in enumerate(HALVES)]
 K = len(OBJECTS)
+
+
+def distances_of(vectors):
+    return cdist(vectors, vectors)
 
 
 def scenes_at(positions, turns=None):
@@ -125,7 +129,7 @@ def test_box_is_the_rectangle_between_extremes():
 def test_distance_is_a_metric_whatever_is_absent(seed):
     rng = np.random.default_rng(seed)
     poses, is_placed = random_scenes(rng, 7, share=0.5)
-    distances = scene_distances(vectors_of(poses, is_placed))
+    distances = distances_of(vectors_of(poses, is_placed))
     np.testing.assert_allclose(distances, distances.T)
     np.testing.assert_allclose(np.diag(distances), 0, atol=1e-12)
     assert (distances[:, :, None] <= distances[:, None] + distances.T[None] + 1e-9).all()
@@ -133,7 +137,7 @@ def test_distance_is_a_metric_whatever_is_absent(seed):
     assert (distances[differs] >= np.hypot(*REGION.half_extents) / np.sqrt(K) - 1e-12).all()
     # What stands where an absent object would be does not matter.
     elsewhere = np.where(is_placed[..., None], poses, rng.normal(size=poses.shape))
-    np.testing.assert_array_equal(scene_distances(vectors_of(elsewhere, is_placed)), distances)
+    np.testing.assert_array_equal(distances_of(vectors_of(elsewhere, is_placed)), distances)
 
 
 def test_independent_distance_is_that_of_even_draws():
@@ -147,7 +151,7 @@ def test_nearest_is_the_nearest_and_zero_for_a_repeated_scene():
     rng = np.random.default_rng(4)
     poses, is_placed = random_scenes(rng, 30)
     vectors = vectors_of(poses, is_placed)
-    distances = scene_distances(vectors) + np.diag(np.full(30, np.inf))
+    distances = distances_of(vectors) + np.diag(np.full(30, np.inf))
     np.testing.assert_allclose(nearest_distance(vectors), distances.min(1))
     assert nearest_distance(np.concatenate([vectors, vectors[:1]]))[[0, -1]].tolist() == [0, 0]
     with pytest.raises(ConfigError):

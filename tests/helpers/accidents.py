@@ -36,7 +36,7 @@ SIGNALS = (signal.SIGKILL, signal.SIGINT)
 _HEARD = """
 import os, signal, sys
 signal.signal(signal.SIGINT, signal.SIG_DFL)
-os.execv(sys.executable, [sys.executable, "-m", "cluttergen_jax", *sys.argv[1:]])
+os.execv(sys.executable, [sys.executable, "-m", *sys.argv[1:]])
 """
 """A job in the background hears no Ctrl-C, and neither would what it starts."""
 _ENDS = 60
@@ -53,6 +53,7 @@ class Command:
       home: whether the user's own folder is "out".
       needs_gl: whether it draws.
       is_once: whether it refuses a folder that is there, which has to be whole then.
+      module: that Python runs.
     """
 
     words: str
@@ -60,6 +61,7 @@ class Command:
     home: bool = False
     needs_gl: bool = False
     is_once: bool = False
+    module: str = "cluttergen_jax"
 
 
 COMMANDS = {
@@ -94,7 +96,9 @@ COMMANDS = {
         "placer train {pairs} --num-epochs 4 --batch-size 8 --noise off --out out"
     ),
     "perception data": Command(
-        "perception data --pool {pool} --num-views 12 --arm 0 --out out", needs_gl=True
+        "data --pool {pool} --num-views 12 --arm 0 --out out",
+        needs_gl=True,
+        module="studies.perception",
     ),
     "robot grasps": Command("robot grasps {pool} --num-grasps 4", home=True),
     "rearrange": Command("rearrange --num-episodes 2 --no-films --threads 1 --out out"),
@@ -220,7 +224,14 @@ class Bench:
         shell = ["bash", "-c", f'"$@" {redirection}; exit "${{PIPESTATUS[0]}}"', "bash"]
         log = _log(place).open("a")
         return subprocess.Popen(
-            [*(shell if redirection else ()), sys.executable, "-c", _HEARD, *self.words],
+            [
+                *(shell if redirection else ()),
+                sys.executable,
+                "-c",
+                _HEARD,
+                self.command.module,
+                *self.words,
+            ],
             cwd=place,
             env=_environment() | {"CLUTTERGEN_HOME": str(home)},
             stdin=subprocess.DEVNULL,

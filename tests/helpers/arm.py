@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
-from cluttergen_jax.downstream.rearrange.task import RearrangeSetting, RearrangeTask
+from cluttergen_jax.downstream.rearrange.task import RearrangeProblem, RearrangeSetting
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.transforms import inverse, pose_of, rigid
 from cluttergen_jax.scene import Scene
@@ -70,8 +70,8 @@ def draws(goals: np.ndarray) -> Callable[..., np.ndarray]:
     return draw
 
 
-def task_of(goals: np.ndarray, scene: Scene = SCENE, draw: Any = None) -> RearrangeTask:
+def task_of(goals: np.ndarray, scene: Scene = SCENE, draw: Any = None) -> RearrangeProblem:
     """The two boxes are to go to f64[2, 7]."""
     setting = RearrangeSetting("two", num_objects=2, target=Rectangle((0.0, 0.0), (0.2, 0.2)))
     grasps = tuple(grasps_of_box(name) for name in scene.names)
-    return RearrangeTask(setting, scene, (0, 1), grasps, (2, 2), draw or draws(goals), 3)
+    return RearrangeProblem(setting, scene, (0, 1), grasps, (2, 2), draw or draws(goals), 3)

@@ -15,9 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from cluttergen_jax.learning.ppo.ppo import PPO
-from cluttergen_jax.learning.ppo.sharding import make_mesh
-from cluttergen_jax.learning.training.distributed import fresh_state, join
-from cluttergen_jax.learning.training.updates import Updates
+from cluttergen_jax.learning.ppo.sharding import join, make_mesh
+from cluttergen_jax.learning.training.run import Updates, fresh_state
 from cluttergen_jax.placement.env import PlacementEnv
 from tests.helpers.probes import Bandit, Tiny, learner
 

@@ -17,25 +17,22 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cluttergen_jax.downstream.perception.certainty import (
-    Certainty,
-    read_certainty,
-    write_certainty,
-)
+from cluttergen_jax.downstream.perception.finder import Certainty, read_certainty
 from cluttergen_jax.downstream.perception.frames import Frame, read_frame, write_frame
-from cluttergen_jax.downstream.perception.views.store import SCHEMA as VIEW_SCHEMA
-from cluttergen_jax.downstream.perception.views.store import VIEWS, read_views
-from cluttergen_jax.downstream.placer.pairs.store import PAIRS, SCHEMA, labels_of, read_pairs
+from cluttergen_jax.downstream.placer.pairs import PAIRS, SCHEMA, labels_of, read_pairs
 from cluttergen_jax.downstream.robot.episode import EpisodeResult
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, read_grasps, write_grasps
-from cluttergen_jax.downstream.rows import RowFile
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.evaluation.store import Store
-from cluttergen_jax.learning.networks.stability import NUM_FEATURES
+from cluttergen_jax.learning.policies.guided import NUM_FEATURES
+from cluttergen_jax.learning.training.guided import Examples
 from cluttergen_jax.learning.training.guided import _read as read_attempts
 from cluttergen_jax.learning.training.guided import _write as write_attempts
-from cluttergen_jax.learning.training.stability import Examples
 from cluttergen_jax.sensing.camera import Camera, intrinsics
+from cluttergen_jax.stores import RowStore
+from studies.perception.evaluate import write_certainty
+from studies.perception.view_store import SCHEMA as VIEW_SCHEMA
+from studies.perception.view_store import VIEWS, read_views
 from tests.helpers.records import unsigned
 from tests.helpers.worlds import trio
 
@@ -84,7 +81,7 @@ def write_pairs(folder: Path, rows: list[dict[str, Any]] | None = None) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     split = {"num_pairs": len(rows), "seed": 0, "camera": "free", "recipe": {"pool": "trio"}}
     record = {"format": 1, "kind": "pairs", "assets": {"objects": {}}, "splits": {"train": split}}
-    PAIRS.write_record(folder, record)
+    PAIRS.store.write_record(folder, record)
     PAIRS.write_block(folder, "train", 0, pa.Table.from_pylist(rows, schema=SCHEMA))
 
 
@@ -103,7 +100,7 @@ def write_views(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     split = {"num_views": 2, "recipes": [{"pool": "trio"}]}
     record = {"format": 1, "kind": "views", "assets": {"objects": {}}, "names": list(NAMES)}
-    VIEWS.write_record(folder, {**record, "splits": {"train": split}})
+    VIEWS.store.write_record(folder, {**record, "splits": {"train": split}})
     pixels = CAMERA.width * CAMERA.height
     rows = [
         {
@@ -159,9 +156,9 @@ def load_grasps(folder: Path) -> Any:
 ROW = EpisodeResult("success", "", "mug", 7, 0.001, 0.01, 0.0, 1e-4, 0, 12.0, 1.0)
 
 
-def rows_file(folder: Path) -> RowFile[EpisodeResult]:
+def rows_file(folder: Path) -> RowStore[EpisodeResult]:
     """A file of rows."""
-    return RowFile(
+    return RowStore(
         folder / "episodes.jsonl", {"seed": 0, "pool": "trio"}, EpisodeResult, "robot place"
     )
 

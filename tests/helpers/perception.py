@@ -9,12 +9,11 @@ import numpy as np
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.downstream.perception.types import BACKGROUND, FIRST_OBJECT, Segmentation
-from cluttergen_jax.downstream.perception.views.store import StoredView
 from cluttergen_jax.downstream.robot.cameras import FOCAL, SIZE, above
 from cluttergen_jax.geometry import yaw_quaternion
-from cluttergen_jax.sensing import rays
+from cluttergen_jax.sensing import View, rays
 from cluttergen_jax.sensing.camera import Camera, free
-from cluttergen_jax.views.view import View
+from studies.perception.view_store import StoredView
 from tests.helpers.placing import with_surface
 from tests.helpers.worlds import box
 

@@ -11,8 +11,8 @@ from jax.experimental.compilation_cache import compilation_cache
 
 from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.ppo.ppo import PPOConfig
-from cluttergen_jax.learning.training.interrupt import Interrupt
 from cluttergen_jax.learning.training.run import Run, RunConfig
+from cluttergen_jax.learning.training.run_folder import Interrupt, RunFolder
 from tests.helpers.problems import made_up_rules
 
 SMALL = NetworkConfig(
@@ -40,14 +40,14 @@ def compiled_once(tmp_path_factory):
 
 def recipe(rules):
     """What is stored with its policies."""
-    return {"placement": asdict(rules.config), "network": asdict(SMALL)}
+    return {"kind": "pose", "placement": asdict(rules.config), "network": asdict(SMALL)}
 
 
 def make_run(folder, ppo=PPO, seed=0, evaluate=None, **config):
     """A run of four updates, two a call at most."""
     rules = made_up_rules(history_stride=12, reward="compressed")
     watched = RunConfig(**{"seed": seed, "window": 2} | config)
-    return Run(rules, SMALL, ppo, watched, folder, recipe(rules), evaluate)
+    return Run(rules, SMALL, ppo, watched, RunFolder(folder, recipe(rules)), evaluate)
 
 
 class Stopping(Interrupt):

@@ -10,19 +10,21 @@ import pytest
 
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.learning.methods import proposer_of
-from cluttergen_jax.learning.networks.stability import (
+from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
+from cluttergen_jax.learning.policies.guided import (
     NUM_FEATURES,
     StabilityNetConfig,
+    blank_params,
     features_of,
+    load_guided,
+    make_guided,
 )
-from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
-from cluttergen_jax.learning.policies.guided import blank_params, load_guided, make_guided
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
 from cluttergen_jax.learning.training import guided
-from cluttergen_jax.learning.training.stability import (
+from cluttergen_jax.learning.training.guided import (
     Examples,
     Explorer,
-    FitConfig,
+    StabilityFitConfig,
     begin,
     calibration,
     collect_step,
@@ -73,7 +75,7 @@ def made_up(number, seed=0):
 def test_a_fit_learns_what_can_be_learned_and_equal_seeds_fit_alike():
     examples = made_up(10_000)
     fresh = made_up(2000, seed=1)
-    params, loss = fit(SMALL, FitConfig(num_epochs=12), examples, seed=0)
+    params, loss = fit(SMALL, StabilityFitConfig(num_epochs=12), examples, seed=0)
     assert np.isfinite(loss)
     predicted = predictions_of(SMALL, params, fresh)
     stands = calibration(predicted.stands, fresh.stands, fresh.is_on)
@@ -81,7 +83,7 @@ def test_a_fit_learns_what_can_be_learned_and_equal_seeds_fit_alike():
     assert stands.auc > 0.95
     assert robust.auc > 0.95
     assert stands.precision > 0.9
-    again, _ = fit(SMALL, FitConfig(num_epochs=12), examples, seed=0)
+    again, _ = fit(SMALL, StabilityFitConfig(num_epochs=12), examples, seed=0)
     jax.tree.map(np.testing.assert_array_equal, params, again)
 
 
@@ -149,7 +151,7 @@ def test_attempts_are_labelled_with_what_the_rules_said(rules):
 
 
 def test_a_stored_network_places_as_before(rules, tmp_path):
-    params, _ = fit(SMALL, FitConfig(num_epochs=1), made_up(512), seed=0)
+    params, _ = fit(SMALL, StabilityFitConfig(num_epochs=1), made_up(512), seed=0)
     save_policy(tmp_path, params, RECORD)
     checkpoint = read_checkpoint(tmp_path)
     stored = load_guided(checkpoint, rules)

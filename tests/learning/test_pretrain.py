@@ -11,6 +11,7 @@ from cluttergen_jax.learning.ppo.checkpoint import read_record
 from cluttergen_jax.learning.training.presets import choose_encoder, fit_to_weights
 from cluttergen_jax.learning.training.pretrain import PretrainConfig, Pretraining
 from cluttergen_jax.learning.training.run import Run, RunConfig, with_encoder
+from cluttergen_jax.learning.training.run_folder import RunFolder
 from tests.helpers.problems import made_up_rules
 from tests.helpers.runs import PPO, compiled_once, recipe
 
@@ -74,7 +75,8 @@ def test_a_run_begins_and_ends_with_frozen_weights(trained, tmp_path):
     small = NetworkConfig(object_points=8, scene_points=64, history_width=8, num_layers=1, width=8)
     network = choose_encoder(small, "pointnet", str(trained[0]), True)
     rules = made_up_rules(history_stride=12, reward="compressed")
-    run = Run(rules, network, PPO, RunConfig(), tmp_path, recipe(rules), None, trained[0])
+    folder = RunFolder(tmp_path, recipe(rules))
+    run = Run(rules, network, PPO, RunConfig(), folder, None, trained[0])
     begun = run.start().params["params"]["encoder"]
     assert same(begun["scene_net"], begun["object_net"])
     half = jax.tree.map(lambda leaf: np.float32(np.float16(leaf)), trained[2].params["encoder"])

@@ -10,8 +10,8 @@ import pytest
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
 from cluttergen_jax.learning.policies.policy import load_policy
 from cluttergen_jax.learning.ppo.checkpoint import read_record
-from cluttergen_jax.learning.training import metrics_log
-from cluttergen_jax.learning.training.metrics_log import read_rows
+from cluttergen_jax.learning.training import run_logger
+from cluttergen_jax.learning.training.run_logger import read_rows
 from cluttergen_jax.placement.observation import ObservationConfig, observe
 from tests.helpers.problems import made_up_rules
 from tests.helpers.runs import Stopping, compiled_once, make_run, weights
@@ -67,7 +67,7 @@ def test_a_run_that_was_killed_while_its_curve_was_drawn_draws_it(trained, tmp_p
         raise SystemExit
 
     with monkeypatch.context() as patch:
-        patch.setattr(metrics_log, "draw_curve", killed)
+        patch.setattr(run_logger, "draw_curve", killed)
         with pytest.raises(SystemExit):
             make_run(folder).train()
     make_run(folder).train()

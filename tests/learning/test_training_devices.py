@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.learning.ppo.checkpoint import read_record
-from cluttergen_jax.learning.training.metrics_log import read_rows
+from cluttergen_jax.learning.training.run_logger import read_rows
 
 ROOT = Path(__file__).parents[2]
 

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from cluttergen_jax.learning.training.updates import Updates, num_updates
+from cluttergen_jax.learning.training.run import Updates, num_updates
 from tests.helpers.probes import Bandit, Tiny, learner
 from tests.helpers.runs import compiled_once
 from tests.helpers.trees import same_bits

@@ -9,8 +9,8 @@ import pytest
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.ppo.checkpoint import read_record
-from cluttergen_jax.learning.training.interrupt import Interrupt
-from cluttergen_jax.learning.training.metrics_log import MetricsLog, WandbLog, read_rows
+from cluttergen_jax.learning.training.run_folder import Interrupt
+from cluttergen_jax.learning.training.run_logger import MetricsLog, WandbLog, read_rows
 from tests.helpers.runs import compiled_once, make_run
 
 __all__ = ["compiled_once"]

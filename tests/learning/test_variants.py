@@ -7,8 +7,8 @@ from cluttergen_jax.assets.modeller.catalog import make_shape
 from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing import cache
-from cluttergen_jax.learning.training import variants as module
-from cluttergen_jax.learning.training.variants import (
+from cluttergen_jax.learning.training import worlds as module
+from cluttergen_jax.learning.training.worlds import (
     ShapeVariant,
     variants,
 )

@@ -11,7 +11,7 @@ CORE = "cluttergen_jax"
 DOWNSTREAM = f"{CORE}.downstream"
 
 # The bar is 60 names of 12 packages: these numbers only go down.
-MOST_NAMES = 251
+MOST_NAMES = 227
 MOST_PACKAGES = 24
 
 

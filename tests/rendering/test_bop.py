@@ -17,8 +17,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.sensing.camera import Camera, free
 from cluttergen_jax.views.bop import SPLIT, BopDataset, add_models, model_ply
-from cluttergen_jax.views.maker import ViewMaker
-from cluttergen_jax.views.view import SeenScene
+from cluttergen_jax.views.maker import SeenScene, ViewMaker
 from tests.helpers.drawing import RED, needs_gl
 from tests.helpers.worlds import box
 

@@ -7,7 +7,7 @@ import pytest
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.rendering.density import density_figure
+from cluttergen_jax.rendering.figure import density_figure
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from tests.helpers.drawing import needs_gl
 from tests.helpers.recordings import cubes

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cluttergen_jax.downstream.noise import NOISE_OFF, REALSENSE, noisy
 from cluttergen_jax.sensing.camera import Camera
-from cluttergen_jax.sensing.noise import NOISE_OFF, REALSENSE, noisy
 
 CAMERA = Camera.looking([0, 0, 1], [0, 0, 0], up=(0, 1, 0))
 FLAT = np.full((120, 160), 0.9, np.float32)

@@ -9,11 +9,11 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
 from cluttergen_jax.assets.support_map import VOID
+from cluttergen_jax.downstream.noise import REALSENSE, noisy
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.heightmap import HeightMapper
 from cluttergen_jax.placement.problem import ProblemConfig, compose, region_of
 from cluttergen_jax.sensing.camera import Camera, free, overhead, side
-from cluttergen_jax.sensing.noise import REALSENSE, noisy
 from cluttergen_jax.sensing.partial import (
     Grid,
     PartialMap,

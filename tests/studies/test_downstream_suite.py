@@ -5,7 +5,7 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerComparison
+from cluttergen_jax.downstream.placer.evaluate import PlacerComparison
 from cluttergen_jax.downstream.placer.training import PlacerTraining
 from cluttergen_jax.tables import Table
 from studies.api import evaluate_suite

@@ -14,7 +14,7 @@ import numpy as np
 from cluttergen_jax.assets import VISUAL_GROUP
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation import BankWorld
-from cluttergen_jax.rendering import NUM_TEXTURES, add_table_materials, table_material
+from cluttergen_jax.rendering import add_table_materials, table_materials
 from cluttergen_jax.types import Array
 
 _MOST = 10.0
@@ -133,8 +133,7 @@ def draw_fields(
         rgb = jnp.clip(own("geom_rgba")[seen, :3] * gain, 0, 1)
         found["geom_rgba"] = jnp.asarray(own("geom_rgba")).at[seen, :3].set(rgb)
     if config.texture:
-        materials = jnp.array([model.material(table_material(k)).id for k in range(NUM_TEXTURES)])
-        drawn = jax.random.choice(keys["texture"], materials)
+        drawn = jax.random.choice(keys["texture"], jnp.array(table_materials(model)))
         found["geom_matid"] = jnp.where(is_support, drawn, jnp.asarray(own("geom_matid")))
     if config.light != (1, 1) and model.nlight:
         factor = jax.random.uniform(

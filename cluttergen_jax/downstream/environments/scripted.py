@@ -10,16 +10,15 @@ import numpy as np
 
 from cluttergen_jax.assets import turn_symmetry
 from cluttergen_jax.downstream.environments.env import RobotEnv
-from cluttergen_jax.downstream.environments.simulation import WorldExecution
-from cluttergen_jax.downstream.environments.tasks import PlaceTask, Start
+from cluttergen_jax.downstream.environments.tasks import EpisodeStart, PlaceTask, WorldExecution
 from cluttergen_jax.downstream.rearrange.episode import Rearranger
 from cluttergen_jax.downstream.rearrange.judge import RearrangementJudge
 from cluttergen_jax.downstream.rearrange.layouts import SceneDraw
 from cluttergen_jax.downstream.rearrange.observe import EpisodeView, ObjectTracker, TrueObserver
 from cluttergen_jax.downstream.rearrange.task import (
     RearrangeOptions,
+    RearrangeProblem,
     RearrangeSetting,
-    RearrangeTask,
 )
 from cluttergen_jax.downstream.robot.episode import stand_beside
 from cluttergen_jax.downstream.robot.grasping.grasps import grasps_of
@@ -62,7 +61,7 @@ def _actions_of_episode(env: RobotEnv, commands: list[np.ndarray]) -> Iterator[n
         yield env.action_of(ctrl)
 
 
-def _move_target(env: RobotEnv, start: Start, copy: WorldExecution, seed: int) -> None:
+def _move_target(env: RobotEnv, start: EpisodeStart, copy: WorldExecution, seed: int) -> None:
     """Lifts the target, and brings it to its goal if the task is to place it."""
     scene = start.scene
     target = start.target
@@ -70,10 +69,8 @@ def _move_target(env: RobotEnv, start: Start, copy: WorldExecution, seed: int) -
     robot = env.world.description
     is_placed = env.task == PlaceTask.name
     stands = (stand_beside(scene.support),) if is_placed else ()
-    known = (scene.names, scene.objects, scene.poses, target, scene.support, base, stands)
-    mover = Mover(
-        copy, PlanningWorld(*known, robot=robot), ArmKinematics(base, robot), target, seed
-    )
+    known = (scene.names, scene.objects, scene.poses, target, scene.support, base, robot)
+    mover = Mover(copy, PlanningWorld(*known, stands), ArmKinematics(base, robot), target, seed)
     grasps = next(iter(grasps_of([scene.objects[target]], robot=robot)))
     goal = matrix_of(start.goals[target : target + 1]) if is_placed else None
     mover.pick(mover.find_pick(grasps, goal))
@@ -81,13 +78,13 @@ def _move_target(env: RobotEnv, start: Start, copy: WorldExecution, seed: int) -
         mover.place(goal)
 
 
-def _rearrange(env: RobotEnv, start: Start, copy: WorldExecution, seed: int) -> None:
+def _rearrange(env: RobotEnv, start: EpisodeStart, copy: WorldExecution, seed: int) -> None:
     """Brings all objects to their goals, those that are in the way aside first."""
     scene = start.scene
     robot = env.world.description
     number = len(start.goals)
     draw = SceneDraw(env.world.bank.bank, "clear", number)
-    task = RearrangeTask(
+    task = RearrangeProblem(
         RearrangeSetting(env.task, num_objects=number, start=draw.area, target=draw.area),
         replace(scene, support=draw.support),
         tuple(draw.names.index(name) for name in scene.names),

@@ -1,27 +1,101 @@
-"""Tasks of environments: where an episode begins, and the judge that says how it ends.
+"""Tasks of environments: where an episode begins, how it is run, and the judge that says how it ends.
 
-The judges are those of `robot place` and `rearrange`; here they are asked after every step of control.
+The judges are those of `robot place` and `rearrange`; here they are asked after every step of control. An
+episode runs in the model of a world: set-points of servos go in, and what the arm touches is watched.
 """
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
+import mujoco
 import numpy as np
 
 from cluttergen_jax.assets import Box, SupportAsset, turn_symmetry
-from cluttergen_jax.downstream.environments.simulation import WorldExecution
+from cluttergen_jax.downstream.environments.world import RobotWorld
 from cluttergen_jax.downstream.rearrange.judge import RearrangementJudge
 from cluttergen_jax.downstream.robot.episode import Referee, set_on_stand, stand_beside
+from cluttergen_jax.downstream.robot.motion.collision import Kind
+from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.motion.mover import LIFT
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.transforms import inverse, matrix_of
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.generation import BankArrays
+from cluttergen_jax.generation import BankArrays, WorldState
 from cluttergen_jax.geometry import rotate_in_plane, rotation_matrix
 from cluttergen_jax.scene import Scene
+
+
+class WorldExecution(Execution):
+    """An `Execution` in a model that is compiled already.
+
+    Args:
+      world: the model. state: its beginning.
+      scene: the objects that belong to it, by their names in the model; where they stand counts.
+      target: the number of the object in it that the hand may touch at first.
+    """
+
+    def __init__(self, world: RobotWorld, state: WorldState, scene: Scene, target: int) -> None:
+        self._world = world
+        self._state = state
+        super().__init__(scene, target, robot=world.description)
+
+    def _compile(self, scene: Scene, stands: Sequence[Box]) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+        return self._world.spec, self._world.model
+
+    def _start(self, scene: Scene) -> None:
+        self._world.put(self.data, self._state)
+        super()._start(scene)
+
+    def advance(self, ctrl: np.ndarray, num_steps: int) -> None:
+        """Brings the set-points evenly to f64[nu] in so many steps.
+
+        The hand may touch the target, and that may touch anything.
+
+        Raises:
+          Failed: another contact of the arm pressed harder than `execute.MAX_FORCE`.
+        """
+        start = self.data.ctrl.copy()
+        for step in range(1, num_steps + 1):
+            self.data.ctrl[:] = start + (ctrl - start) * (step / num_steps)
+            self._step(Phase.TOUCH)
+
+    @property
+    def is_touching(self) -> bool:
+        """The arm or its hand touches the object that it may touch."""
+        if not self.data.ncon:
+            return False
+        kinds = self._kind[self.data.contact.geom]
+        is_arm = np.isin(kinds, (Kind.ARM, Kind.HAND)).any(1)
+        return bool((is_arm & (kinds == Kind.TARGET).any(1)).any())
+
+    def fork(self, num_steps: int) -> RecordedExecution:
+        """A copy that goes on from here by itself; its set-points are kept every so many steps."""
+        forked = copy.copy(self)
+        forked.__class__ = RecordedExecution
+        assert isinstance(forked, RecordedExecution)
+        forked.data = copy.copy(self.data)
+        forked.num_steps = 0
+        forked.every = num_steps
+        forked.commands = []
+        return forked
+
+
+class RecordedExecution(WorldExecution):
+    """See `WorldExecution.fork`. every: steps; commands: f64[nu] each, the set-points every so many steps."""
+
+    every: int
+    commands: list[np.ndarray]
+
+    def _step(self, phase: Phase) -> None:
+        super()._step(phase)
+        if self.num_steps % self.every == 0:
+            self.commands.append(self.data.ctrl.copy())
+
 
 LEFT = 0.025
 """Metres from where it last touched an object from which on the open hand has left it."""
@@ -56,10 +130,12 @@ class Task(Protocol):
     def places(self, bank: BankArrays) -> np.ndarray:
         """i[M]: the scenes that it can be done in, by their place in the bank. Raises ConfigError: none."""
 
-    def begin(self, scene: Scene, bank: BankArrays, place: int, rng: np.random.Generator) -> Start:
+    def begin(
+        self, scene: Scene, bank: BankArrays, place: int, rng: np.random.Generator
+    ) -> EpisodeStart:
         """An episode in the scene at this place."""
 
-    def judge(self, start: Start, execution: WorldExecution) -> Judge:
+    def judge(self, start: EpisodeStart, execution: WorldExecution) -> Judge:
         """Of an episode that has begun."""
 
     def sentence(self, labels: list[str]) -> str:
@@ -67,7 +143,7 @@ class Task(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
+class EpisodeStart:
     """How an episode begins.
 
     Attributes:
@@ -100,11 +176,13 @@ class GraspTask(_OneObject):
         """None."""
         return ()
 
-    def begin(self, scene: Scene, bank: BankArrays, place: int, rng: np.random.Generator) -> Start:
+    def begin(
+        self, scene: Scene, bank: BankArrays, place: int, rng: np.random.Generator
+    ) -> EpisodeStart:
         """The scene as it is."""
-        return Start(scene, len(scene.names) - 1, scene.poses.copy())
+        return EpisodeStart(scene, len(scene.names) - 1, scene.poses.copy())
 
-    def judge(self, start: Start, execution: WorldExecution) -> Judge:
+    def judge(self, start: EpisodeStart, execution: WorldExecution) -> Judge:
         """Of `robot place --task lift`."""
         return _GraspJudge(start, execution)
 
@@ -137,13 +215,15 @@ class PlaceTask(_OneObject):
             )
         return found
 
-    def begin(self, scene: Scene, bank: BankArrays, place: int, rng: np.random.Generator) -> Start:
+    def begin(
+        self, scene: Scene, bank: BankArrays, place: int, rng: np.random.Generator
+    ) -> EpisodeStart:
         """The last object on the stand, somehow turned."""
         target = len(scene.names) - 1
         moved, _ = set_on_stand(scene, target, int(rng.integers(2**31)))
-        return Start(moved, target, scene.poses.copy())
+        return EpisodeStart(moved, target, scene.poses.copy())
 
-    def judge(self, start: Start, execution: WorldExecution) -> Judge:
+    def judge(self, start: EpisodeStart, execution: WorldExecution) -> Judge:
         """Of `robot place`."""
         return _PlaceJudge(start, execution)
 
@@ -175,7 +255,9 @@ class RearrangeTask:
             )
         return found
 
-    def begin(self, scene: Scene, bank: BankArrays, place: int, rng: np.random.Generator) -> Start:
+    def begin(
+        self, scene: Scene, bank: BankArrays, place: int, rng: np.random.Generator
+    ) -> EpisodeStart:
         """The scene as it is, and another one for its goals."""
         sets = _sets(bank)
         others = np.flatnonzero((sets == sets[place]).all(1))
@@ -187,9 +269,9 @@ class RearrangeTask:
         ]
         goals = poses[other, slots]
         goals[:, 3:] /= np.linalg.norm(goals[:, 3:], axis=1, keepdims=True)
-        return Start(scene, 0, goals)
+        return EpisodeStart(scene, 0, goals)
 
-    def judge(self, start: Start, execution: WorldExecution) -> Judge:
+    def judge(self, start: EpisodeStart, execution: WorldExecution) -> Judge:
         """Of `rearrange`."""
         return _LayoutJudge(start, execution)
 
@@ -241,7 +323,7 @@ def _check_fallen(execution: WorldExecution, scene: Scene) -> None:
 
 @dataclass(eq=False)
 class _GraspJudge:
-    start: Start
+    start: EpisodeStart
     execution: WorldExecution
 
     @cached_property
@@ -260,7 +342,7 @@ class _GraspJudge:
 
 
 class _PlaceJudge:
-    def __init__(self, start: Start, execution: WorldExecution) -> None:
+    def __init__(self, start: EpisodeStart, execution: WorldExecution) -> None:
         self._execution = execution
         self._scene = start.scene
         self._target = start.target
@@ -284,7 +366,7 @@ class _PlaceJudge:
 
 
 class _LayoutJudge:
-    def __init__(self, start: Start, execution: WorldExecution) -> None:
+    def __init__(self, start: EpisodeStart, execution: WorldExecution) -> None:
         self._execution = execution
         self._start = start
         symmetry = [turn_symmetry(asset) for asset in start.scene.objects]

@@ -7,48 +7,88 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import Annotated
 
+import msgspec
 import numpy as np
 
 from cluttergen_jax.assets import ObjectAsset, SupportAsset
 from cluttergen_jax.downstream.digests import constants_hash
-from cluttergen_jax.downstream.perception import camera_correction, certainty, mask_correction
-from cluttergen_jax.downstream.perception.camera_correction import correct_camera
-from cluttergen_jax.downstream.perception.certainty import (
-    FEATURES,
-    Certainty,
-    features_of,
-    read_certainty,
+from cluttergen_jax.downstream.perception import corrections, object_model, registration
+from cluttergen_jax.downstream.perception import segmenter as segmenters
+from cluttergen_jax.downstream.perception.corrections import (
+    PosePhysicsCheck,
+    correct_camera,
+    correct_masks,
+    find_unexplained,
 )
-from cluttergen_jax.downstream.perception.mask_correction import correct_masks, find_unexplained
-from cluttergen_jax.downstream.perception.pose import (
-    compare,
-    icp,
-    models,
-    pose_physics_check,
-    registration,
-)
-from cluttergen_jax.downstream.perception.pose.models import ObjectModel
-from cluttergen_jax.downstream.perception.pose.pose_physics_check import PosePhysicsCheck
-from cluttergen_jax.downstream.perception.pose.registration import SURE, RegistrationEstimator
-from cluttergen_jax.downstream.perception.segment import network_segmenter
-from cluttergen_jax.downstream.perception.segment.network_segmenter import (
-    load_segmenter,
-    segmenter_folder,
-)
+from cluttergen_jax.downstream.perception.object_model import ObjectModel
+from cluttergen_jax.downstream.perception.registration import SURE, RegistrationEstimator
+from cluttergen_jax.downstream.perception.segmenter import load_segmenter, segmenter_folder
 from cluttergen_jax.downstream.perception.types import (
     ARM,
     BACKGROUND,
     FIRST_OBJECT,
     PoseEstimate,
-    PoseEstimator,
     Segmenter,
     check_images,
 )
 from cluttergen_jax.downstream.transforms import matrix_of
-from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.sensing import Camera, Grid, level_camera
-from cluttergen_jax.views import View
+from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.schema import checked_record, convert
+from cluttergen_jax.sensing import Camera, Grid, View, level_camera
+
+CERTAINTY_FILE = "certainty.json"
+FEATURES = ("bias", "score", "gap", "lead", "visible", "pixels", "steady")
+
+
+@dataclass(frozen=True)
+class Certainty:
+    """The chance that a pose is right, by a logistic rule.
+
+    Attributes:
+      weights: of `FEATURES`; the usual ones were set by hand.
+      number: poses whose errors are known that they were fitted to; 0 for the usual ones.
+    """
+
+    weights: tuple[float, ...] = (-6.0, 6.0, 4.0, 1.0, 1.5, 0.3, 1.0)
+    number: int = 0
+
+    def __call__(self, features: np.ndarray) -> np.ndarray:
+        """f64[...] in (0, 1): the chance that poses with features f[..., 7] are right."""
+        return 1 / (1 + np.exp(-np.asarray(features, np.float64) @ np.array(self.weights)))
+
+
+class _Stored(msgspec.Struct):
+    """What the file of a rule of certainty holds."""
+
+    weights: dict[str, float]
+    number: Annotated[int, msgspec.Meta(ge=0)]
+
+
+def features_of(estimate: PoseEstimate, is_steady: bool) -> np.ndarray:
+    """f64[7], in the order of `FEATURES`."""
+    pixels = np.log10(max(estimate.num_pixels, 1)) - 2
+    told = (estimate.score, estimate.gap, estimate.lead)
+    return np.array([1.0, *told, estimate.visible, pixels, float(is_steady)])
+
+
+def read_certainty(folder: Path) -> Certainty:
+    """The rule beside a segmenter; the usual one where there is none.
+
+    Raises:
+      PoolError: the file is damaged.
+    """
+    path = folder / CERTAINTY_FILE
+    if not path.is_file():
+        return Certainty()
+    try:
+        stored = convert(checked_record(path.read_bytes()), _Stored)
+        return Certainty(tuple(stored.weights[name] for name in FEATURES), stored.number)
+    except (OSError, ValueError, KeyError) as error:
+        hint = "python -m studies.perception eval --calibrate, in a checkout"
+        raise PoolError(f"{path} is damaged ({error})", hint=hint) from error
+
 
 _AGREED = 0.5
 """Certainty from which on a pose tells where a camera is."""
@@ -68,7 +108,7 @@ class FoundScene:
       names: of the objects.
       pose: f64[N, 7], T_world_object, metres, wxyz; the identity where not seen.
       seen: bool[N]. certainty: f64[N] in [0, 1], the chance that the pose is right; 0 where not seen.
-      features: f64[N, 7], what that was told from (`certainty.FEATURES`).
+      features: f64[N, 7], what that was told from (`FEATURES`).
       visible: f64[N], share of each silhouette that is seen.
       labels: of each look u8[H, W], which object each pixel shows (`types`): the segmenter's word,
         corrected by depth where an object of these names was found.
@@ -88,7 +128,7 @@ class SceneFinder:
 
     Args:
       objects: K, in the order of the segmenter's names. support: the table.
-      segmenter, estimator: any that obey the protocols.
+      segmenter: any that obeys the protocol. estimator: of the same objects, made here if not given.
       certainty: the rule that tells chances.
 
     Raises:
@@ -100,7 +140,7 @@ class SceneFinder:
         objects: Sequence[ObjectAsset],
         support: SupportAsset,
         segmenter: Segmenter,
-        estimator: PoseEstimator | None = None,
+        estimator: RegistrationEstimator | None = None,
         certainty: Certainty | None = None,
     ) -> None:
         names = tuple(asset.name for asset in objects)
@@ -306,7 +346,7 @@ def load_finder(
     """A finder with a trained segmenter, and with the rule of certainty that lies beside it.
 
     Args:
-      segmenter: a pool's name or a folder (`network_segmenter.segmenter_folder`).
+      segmenter: a pool's name or a folder (`segmenter.segmenter_folder`).
 
     Raises:
       PoolError: there is no such segmenter, or it is damaged.
@@ -320,12 +360,5 @@ def load_finder(
 @cache
 def finder_hash() -> str:
     """Hex digest of how objects and their poses are found in pictures, but for the network's weights."""
-    poses = (compare, icp, models, pose_physics_check, registration)
-    looks = (
-        camera_correction,
-        certainty,
-        mask_correction,
-        network_segmenter,
-        sys.modules[__name__],
-    )
-    return constants_hash(*looks, *poses)
+    parts = (corrections, object_model, registration, segmenters)
+    return constants_hash(sys.modules[__name__], *parts)

@@ -21,7 +21,6 @@ from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.schema import checked_record, convert, digest_of, refuse, with_checksum
 from cluttergen_jax.sensing import Camera
-from cluttergen_jax.views import png_of
 
 _NAMES = ("rgb.png", "depth.npy", "camera.json")
 
@@ -41,14 +40,15 @@ def write_frame(folder: str | Path, frame: Frame) -> None:
       ConfigError: the images are not the camera's.
     """
     rgb, depth = check_images(*frame)
-    picture = png_of(rgb)
+    picture = io.BytesIO()
+    Image.fromarray(rgb).save(picture, format="PNG")
     array = io.BytesIO()
     np.save(array, depth, allow_pickle=False)
-    files = {"rgb.png": digest_of(picture), "depth.npy": digest_of(array.getvalue())}
+    files = {"rgb.png": digest_of(picture.getvalue()), "depth.npy": digest_of(array.getvalue())}
     told = (
         json.dumps(with_checksum({**frame.camera.record(), "checksums": files}), indent=1) + "\n"
     ).encode()
-    for name, data in zip(_NAMES, (picture, array.getvalue(), told), strict=True):
+    for name, data in zip(_NAMES, (picture.getvalue(), array.getvalue(), told), strict=True):
         write_atomically(Path(folder) / name, data)
 
 

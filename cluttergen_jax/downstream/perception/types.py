@@ -1,4 +1,4 @@
-"""What perception is given and answers: classes of pixels, pictures, segmenters, pose estimators."""
+"""What perception is given and answers: classes of pixels, pictures, segmenters, poses."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.sensing import Camera
-from cluttergen_jax.views import View
 
 # The table, the floor and all else; the robot; then object k of a pool as 2 + k.
 BACKGROUND = 0
@@ -21,25 +20,6 @@ FIRST_OBJECT = 2
 def num_classes(num_objects: int) -> int:
     """Classes where a pool has so many objects."""
     return FIRST_OBJECT + num_objects
-
-
-def confusion(found: np.ndarray, true: np.ndarray, num_objects: int) -> np.ndarray:
-    """i64[C, C]: pixels of each true class (rows) that were taken for each class (columns)."""
-    number = num_classes(num_objects)
-    index = true.astype(np.int64).ravel() * number + found.astype(np.int64).ravel()
-    return np.bincount(index, minlength=number * number).reshape(number, number)
-
-
-def iou_of(confused: np.ndarray) -> np.ndarray:
-    """f64[C]: intersection over union of each class of a confusion i64[C, C]; nan where there is neither."""
-    both = np.diag(confused)
-    either = confused.sum(0) + confused.sum(1) - both
-    return np.where(either > 0, both / np.maximum(either, 1), np.nan)
-
-
-def intersection_over_union(found: np.ndarray, true: np.ndarray, num_objects: int) -> np.ndarray:
-    """f64[C]: of labels [...] and true ones; over all pixels together."""
-    return iou_of(confusion(found, true, num_objects))
 
 
 _FARTHEST = 20.0
@@ -135,17 +115,3 @@ class PoseEstimate:
     lead: float
     visible: float
     num_pixels: int
-
-
-class PoseEstimator(Protocol):
-    """Finds the pose of one of its objects in looks at one moment."""
-
-    def __call__(
-        self, index: int, looks: Sequence[View], near: np.ndarray | None = None
-    ) -> PoseEstimate | None:
-        """The pose of the object of that number; None where too little of it is seen.
-
-        Args:
-          near: f64[7], T_world_object at which it was, if that is known; tried first.
-        """
-        ...

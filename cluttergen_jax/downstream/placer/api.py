@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cluttergen_jax import SceneSpec
 from cluttergen_jax.config import Method, check_range, check_workers
 from cluttergen_jax.downstream.words import (
     MAX_PAIRS,
@@ -21,11 +22,10 @@ from cluttergen_jax.files import check_folder
 from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.placement import entry_of
-from cluttergen_jax.spec import SceneSpec
 
 if TYPE_CHECKING:
-    from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerComparison
-    from cluttergen_jax.downstream.placer.pairs.store import PairSet
+    from cluttergen_jax.downstream.placer.evaluate import PlacerComparison
+    from cluttergen_jax.downstream.placer.pairs import PairSet
     from cluttergen_jax.downstream.placer.query import Placer, PlainPlacer
 
 _MOST_SEED = 999_999
@@ -84,8 +84,8 @@ def placer_data(
         check_upright,
         poses_of,
     )
-    from cluttergen_jax.downstream.placer.pairs.maker import split_of, write_pairs
-    from cluttergen_jax.downstream.placer.pairs.store import PAIRS
+    from cluttergen_jax.downstream.placer.pair_maker import split_of, write_pairs
+    from cluttergen_jax.downstream.placer.pairs import PAIRS
     from cluttergen_jax.downstream.samples import SPLITS
     from cluttergen_jax.scene import AGAIN, Bank
 
@@ -115,7 +115,7 @@ def placer_data(
         )
 
     given = (spec, pool, num_scenes, method, support, num_objects)
-    with PAIRS.hold(Path(out)):
+    with PAIRS.store.hold(Path(out)):
         found = bank_or_made(bank, make, "spec pool num_scenes method support num_objects", given)
         check_upright(poses_of(found), "a placer")
         check_one_level(found.support, "a placer")
@@ -180,8 +180,8 @@ def placer_eval(
       BankError: the folder holds no pairs, or they are damaged.
       PoolError: a placer's files are damaged, or there is none for the pool.
     """
-    from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerTrials, compare_placers
-    from cluttergen_jax.downstream.placer.pairs.store import read_pairs
+    from cluttergen_jax.downstream.placer.evaluate import PlacerTrials, compare_placers
+    from cluttergen_jax.downstream.placer.pairs import read_pairs
     from cluttergen_jax.evaluation import Store
 
     check_folder(out)
@@ -242,8 +242,8 @@ def placer_train(
       KeyboardInterrupt: on Ctrl-C, once everything is saved.
     """
     from cluttergen_jax.downstream.fitting import FitConfig
-    from cluttergen_jax.downstream.placer.examples import ExampleSource
-    from cluttergen_jax.downstream.placer.training import PlacerTraining, head_of_name
+    from cluttergen_jax.downstream.placer.scored import head_of_name
+    from cluttergen_jax.downstream.placer.training import ExampleSource, PlacerTraining
     from cluttergen_jax.learning import hold_run
 
     check_range("seed", seed, 0, 2**32 - 1, 0)

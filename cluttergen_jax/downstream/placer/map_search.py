@@ -53,6 +53,11 @@ def draw(key: Array, query: PlacementQuery, number: int) -> Candidates:
     return draw_candidates(key, make_region(zero, query.region_half_extents, 0.0, 0.0), number)
 
 
+def join(*parts: Candidates) -> Candidates:
+    """All of them."""
+    return jax.tree.map(lambda *arrays: jnp.concatenate(arrays), *parts)
+
+
 def look(query: PlacementQuery, heights: HeightMap, candidates: Candidates) -> MapCandidates:
     """How the object would lie at each candidate, if `heights` were the scene."""
     scores = _scores(query, heights, candidates, query.under)

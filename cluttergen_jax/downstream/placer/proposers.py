@@ -11,11 +11,6 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from cluttergen_jax.downstream.placer.heads.checkpoint import (
-    embedded_placers,
-    load_placer,
-    placer_folder,
-)
 from cluttergen_jax.downstream.placer.map_search import best_apart, draw, search
 from cluttergen_jax.downstream.placer.query import (
     NUM_PROPOSALS,
@@ -24,6 +19,11 @@ from cluttergen_jax.downstream.placer.query import (
     PlainPlacer,
     Proposals,
     without_scores,
+)
+from cluttergen_jax.downstream.placer.scored import (
+    embedded_placers,
+    load_placer,
+    placer_folder,
 )
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.learning import checkpoint_of, proposer_of, with_history_of

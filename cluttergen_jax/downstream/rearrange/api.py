@@ -14,7 +14,8 @@ from cluttergen_jax.downstream.words import (
     Rearrangement,
     RecordFormat,
     RobotObserver,
-    check_noise,
+    check_choice,
+    check_factor,
 )
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
@@ -22,14 +23,17 @@ from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets import ObjectAsset, Rectangle
+    from cluttergen_jax.downstream.rearrange.layout_views import LayoutPanel
     from cluttergen_jax.downstream.rearrange.observe import Observer
     from cluttergen_jax.downstream.rearrange.perceive import PerceptionObserver
-    from cluttergen_jax.downstream.rearrange.pick import LayoutPanel
     from cluttergen_jax.downstream.rearrange.starts import OwnScenes
     from cluttergen_jax.downstream.rearrange.trials import Rearrangements
-    from cluttergen_jax.downstream.robot.description import RobotDescription
-    from cluttergen_jax.downstream.robot.grasping.grasps import GraspSets
-    from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
+    from cluttergen_jax.downstream.robot import (
+        GraspSets,
+        GraspSource,
+        PathPlanner,
+        RobotDescription,
+    )
 
 _MOST_SEED = 999_999
 _MOST_EPISODES = 1_000_000
@@ -110,8 +114,8 @@ def rearrange(
         noise (extra `perception`); in Python also one of your own
         (`cluttergen_jax.downstream.rearrange.observe.Observer`), whose attribute `name` is in the table.
       grasps, planner: your own, as of `robot_place`.
-      segmenter: for `perception`: a folder of `perception train`, or a pool's name where one comes with the
-        package; the pool's own if not given.
+      segmenter: for `perception`: a folder of `python -m studies.perception train`, or a pool's name
+        where one comes with the package; the pool's own if not given.
       noise: for `perception`: factor of the simulated sensor noise; 1 if not given, 0 for none.
       cameras: for `perception`: "wrist", and those that look when the arm has drawn back, by name or in JSON
         files as of `render`; if not given the wrist's and one over the table.
@@ -142,15 +146,12 @@ def rearrange(
       MissingExtraError: the extra `robot`, or `perception` or `viewer` where it is needed, is not installed.
       RendererError: pictures are asked for, and nothing here can draw.
     """
-    import os
     from dataclasses import replace
-    from typing import Any, get_args
+    from typing import Any
 
     from cluttergen_jax.downstream.rearrange.task import SETTINGS, RearrangeOptions
     from cluttergen_jax.downstream.rearrange.trials import run_rearrangements
-    from cluttergen_jax.downstream.robot.description import find_robot
-    from cluttergen_jax.downstream.robot.film import check_films
-    from cluttergen_jax.downstream.robot.recorder import RecordAsked
+    from cluttergen_jax.downstream.robot import RecordAsked, check_films, find_robot
 
     check_folder(out)
     check_workers("num_threads", num_threads)
@@ -159,35 +160,23 @@ def rearrange(
     check_range("seed", seed, 0, _MOST_SEED, 0)
     if layout is not None:
         check_range("layout", layout, 0, num_layouts - 1, 0)
-    asked = (
-        ("setting", setting, Rearrangement),
-        ("choose", choose, LayoutRule),
-        ("order", order, PickOrder),
-        ("observer", observer if isinstance(observer, str) else "true", RobotObserver),
-    )
-    for name, value, known in asked:
-        if value not in get_args(known):
-            raise ConfigError(f"{name} = {value!r}", ", ".join(get_args(known)))
-    if segmenter is not None and observer != "perception":
-        raise ConfigError(
-            f"`segmenter` with observer = {observer!r}", "observer='perception'", "leaving it out"
-        )
-    if not (isinstance(observer, str) or callable(observer)):
-        raise ConfigError(
-            f"observer = {observer!r}", f"{', '.join(get_args(RobotObserver))}, or an `Observer`"
-        )
+    check_choice("setting", setting, Rearrangement)
+    check_choice("choose", choose, LayoutRule)
+    check_choice("order", order, PickOrder)
+    if not callable(observer):
+        check_choice("observer", observer, RobotObserver)
     if pick and layout is not None:
         raise ConfigError(
             f"`pick` together with layout = {layout}", "one or the other", "leaving out `layout`"
         )
     looks = observer == "perception"
-    for what, is_given in (("noise", noise is not None), ("cameras", bool(cameras))):
-        if is_given and not looks:
+    for what, given in (("segmenter", segmenter), ("noise", noise), ("cameras", cameras or None)):
+        if given is not None and not looks:
             raise ConfigError(
                 f"`{what}` where nothing looks", "observer='perception'", "leaving it out"
             )
     if noise is not None:
-        check_noise([noise])
+        check_factor(noise)
     described = find_robot(robot)
     found, told, usual = _own_scenes(bank, pool, support, target, str(goals), setting)
     recorded = RecordAsked.of(record, record_format, record_cameras)
@@ -200,7 +189,6 @@ def rearrange(
         )
     options = RearrangeOptions(choose, layout, num_layouts, relook, order, one_grasp)
     name = "own" if told else setting
-    threads = num_threads or os.cpu_count() or 1
     with _person(choose, host, port, browser, show) if pick else nullcontext() as person:
         return run_rearrangements(
             replace(SETTINGS[setting], name=name),
@@ -210,7 +198,7 @@ def rearrange(
             Path(out) / name,
             pool=usual,
             observer=None if isinstance(looking, str) else looking,
-            num_threads=threads,
+            num_threads=num_threads,
             ask=person,
             films=film if films else None,
             sheets=show_layouts,
@@ -228,7 +216,7 @@ def _person(
     rule: LayoutRule, host: str, port: int, browser: bool, show: Callable[[str], None]
 ) -> Iterator[LayoutPanel]:
     """A panel in a browser in which layouts are chosen."""
-    from cluttergen_jax.downstream.rearrange.pick import LayoutPanel
+    from cluttergen_jax.downstream.rearrange.layout_views import LayoutPanel
     from cluttergen_jax.rendering import announce, open_server
 
     server = open_server(host, port, "cluttergen: which layout")
@@ -255,8 +243,7 @@ def _own_scenes(
     from cluttergen_jax.assets import find_support, parse_region, support_hash
     from cluttergen_jax.downstream.bank_scenes import check_one_level
     from cluttergen_jax.downstream.digests import json_digest
-    from cluttergen_jax.downstream.rearrange.goals import bank_place, is_bank
-    from cluttergen_jax.downstream.rearrange.starts import OwnScenes
+    from cluttergen_jax.downstream.rearrange.starts import OwnScenes, bank_place, is_bank
     from cluttergen_jax.scene import read_bank, region_of
 
     found = None if bank is None else read_bank(bank)
@@ -305,13 +292,14 @@ def _looking(
     from dataclasses import replace
 
     from cluttergen_jax.assets import find_pool, find_support
+    from cluttergen_jax.downstream.digests import folder_hash
+    from cluttergen_jax.downstream.noise import NOISE_OFF, REALSENSE
     from cluttergen_jax.downstream.perception.finder import load_finder
-    from cluttergen_jax.downstream.perception.segment.network_segmenter import segmenter_folder
+    from cluttergen_jax.downstream.perception.segmenter import segmenter_folder
     from cluttergen_jax.downstream.rearrange.perceive import PerceptionObserver
-    from cluttergen_jax.learning import folder_hash
     from cluttergen_jax.rendering import find_backend
     from cluttergen_jax.scene import region_of
-    from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, parse_cameras
+    from cluttergen_jax.sensing import parse_cameras
 
     support = find_support(own.support or "table")
     wanted = pool if segmenter is None else segmenter

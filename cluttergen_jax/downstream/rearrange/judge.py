@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from cluttergen_jax.config import StabilityConfig, VerifyConfig
 from cluttergen_jax.downstream.rearrange.observe import Cause
-from cluttergen_jax.downstream.robot.episode import WATCHED
-from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
-from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.robot import WATCHED, Execution, Failed, Outcome, Phase, told_motion
 from cluttergen_jax.downstream.transforms import matrix_of, offset
 from cluttergen_jax.physics import check_standing, displacement, has_moved, watch
 from cluttergen_jax.scene import Scene
@@ -23,6 +22,7 @@ _LOOK = 0.1
 """Seconds between two looks at what stands."""
 
 
+@dataclass(eq=False)
 class RearrangementJudge:
     """Watches an episode and says at its end whether the objects are where they should be.
 
@@ -31,18 +31,17 @@ class RearrangementJudge:
       symmetry: of each object (`assets.symmetry.turn_symmetry`).
     """
 
-    def __init__(
-        self, execution: Execution, scene: Scene, num_moved: int, symmetry: Sequence[int]
-    ) -> None:
-        self._execution = execution
-        self._scene = scene
-        self._symmetry = symmetry
-        self._num_moved = num_moved
-        self._before = execution.poses()
+    execution: Execution
+    scene: Scene
+    num_moved: int
+    symmetry: Sequence[int]
+
+    def __post_init__(self) -> None:
+        self._before = self.execution.poses()
 
     def begin_move(self) -> None:
         """Remembers where everything is before an object is moved."""
-        self._before = self._execution.poses()
+        self._before = self.execution.poses()
 
     def check_others(self, moved: int) -> None:
         """Compares the objects but the one that was moved with where they were.
@@ -50,18 +49,16 @@ class RearrangementJudge:
         Raises:
           Failed: one was disturbed: it is farther from there than the last check of scenes allows.
         """
-        far = _has_moved(self._execution.poses(), self._before)
+        far = _has_moved(self.execution.poses(), self._before)
         far[moved] = False
         if far.any():
-            raise Failed(Outcome.DISPLACED, self._scene.names[int(far.argmax())])
+            raise Failed(Outcome.DISPLACED, self.scene.names[int(far.argmax())])
 
     def errors(self, goals: np.ndarray) -> np.ndarray:
         """f64[num_moved, 2]: metres and radians of each object from its goal f64[N, 7], up to symmetry."""
-        now = matrix_of(self._execution.poses())
+        now = matrix_of(self.execution.poses())
         goal = matrix_of(goals)
-        return np.array(
-            [offset(now[k], goal[k], self._symmetry[k]) for k in range(self._num_moved)]
-        )
+        return np.array([offset(now[k], goal[k], self.symmetry[k]) for k in range(self.num_moved)])
 
     def is_right(self, goals: np.ndarray) -> np.ndarray:
         """bool[num_moved]: the objects that are where they should be."""
@@ -73,9 +70,9 @@ class RearrangementJudge:
         Raises:
           Failed: it does not.
         """
-        start = self._execution.poses()
-        names = self._scene.names
-        self._execution.wake()
+        start = self.execution.poses()
+        names = self.scene.names
+        self.execution.wake()
         looks = range(1, round(WATCHED / _LOOK) + 1)
         for shift, turn in watch(self._wait, start, looks):
             far = has_moved(shift, turn, _LIMITS)
@@ -85,25 +82,24 @@ class RearrangementJudge:
         if not right.all():
             worst = int(right.argmin())
             shift, turn = self.errors(goals)[worst]
-            told = f"{names[worst]}: {1e3 * shift:.0f} mm, {np.degrees(turn):.0f} deg"
-            raise Failed(Cause.MISPLACED, told)
-        others = slice(self._num_moved, None)
-        far = _has_moved(self._execution.poses()[others], self._scene.poses[others])
+            raise Failed(Cause.MISPLACED, f"{names[worst]}: {told_motion(shift, turn)}")
+        others = slice(self.num_moved, None)
+        far = _has_moved(self.execution.poses()[others], self.scene.poses[others])
         if far.any():
-            raise Failed(Outcome.DISPLACED, names[self._num_moved + int(far.argmax())])
+            raise Failed(Outcome.DISPLACED, names[self.num_moved + int(far.argmax())])
         self._check_alone()
 
     def _wait(self, number: int) -> np.ndarray:
         """So many times a tenth of a second, and the poses after it."""
-        self._execution.wait(number * _LOOK, Phase.FREE)
-        return self._execution.poses()
+        self.execution.wait(number * _LOOK, Phase.FREE)
+        return self.execution.poses()
 
     def _check_alone(self) -> None:
         """The scene without the arm, at rest, in its own time step."""
-        poses = self._execution.poses()
-        spec = self._scene.to_mjspec()
+        poses = self.execution.poses()
+        spec = self.scene.to_mjspec()
         spec.keys[0].qpos = poses.ravel()
-        for name, pose in zip(self._scene.names, poses, strict=True):
+        for name, pose in zip(self.scene.names, poses, strict=True):
             body = spec.body(name)
             body.pos = pose[:3]
             body.quat = pose[3:]

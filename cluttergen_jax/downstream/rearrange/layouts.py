@@ -14,17 +14,20 @@ from scipy.spatial.distance import cdist
 
 from cluttergen_jax.assets import ObjectAsset, Rectangle, SupportAsset, find_support
 from cluttergen_jax.config import Method
-from cluttergen_jax.downstream.robot.description import RobotDescription
-from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
-from cluttergen_jax.downstream.robot.grasping.grips import rank_grasps
-from cluttergen_jax.downstream.robot.model import base_pose
-from cluttergen_jax.downstream.robot.motion.collision import ROOM as HAND_ROOM
-from cluttergen_jax.downstream.robot.motion.collision import Mode, PlanningWorld
-from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
+from cluttergen_jax.downstream.robot import ROOM as HAND_ROOM
+from cluttergen_jax.downstream.robot import (
+    ArmKinematics,
+    Grasps,
+    Mode,
+    PlanningWorld,
+    RobotDescription,
+    base_pose,
+    rank_grasps,
+)
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.downstream.words import LayoutRule
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation import embed, scene_distances
+from cluttergen_jax.evaluation import embed
 from cluttergen_jax.generation import make_sampler, setup_of
 from cluttergen_jax.geometry import transform_points
 from cluttergen_jax.learning import choose_method, sampler_of
@@ -199,7 +202,7 @@ def choose_unlike(
     if len(poses) <= number:
         return np.arange(len(poses))
     vectors = embed(objects, poses, np.ones(poses.shape[:2], bool), region, 0.0)
-    distances = scene_distances(vectors)
+    distances = cdist(vectors, vectors)
     # The one in the middle of all is the first.
     chosen = [int(distances.mean(1).argmin())]
     while len(chosen) < number:
@@ -253,7 +256,7 @@ class ReachCheck:
 
     Args:
       objects: N; grasps: of each. moved: the numbers of the objects that count. support: the table.
-      max_lever: metres, of the grasps that count (`grips.Grip`). robot: the Panda if not given.
+      max_lever: metres, of the grasps that count (`grips.Grip`).
     """
 
     def __init__(
@@ -262,8 +265,8 @@ class ReachCheck:
         grasps: Sequence[Grasps],
         moved: Sequence[int],
         support: SupportAsset,
+        robot: RobotDescription,
         max_lever: float = np.inf,
-        robot: RobotDescription | None = None,
     ) -> None:
         self._grasps = grasps
         self._max_lever = max_lever
@@ -272,7 +275,7 @@ class ReachCheck:
         names = list(map(str, range(len(objects))))
         nowhere = np.tile(np.eye(7)[3], (len(objects), 1))
         self._worlds = {
-            k: PlanningWorld(names, objects, nowhere, k, support, base, robot=robot) for k in moved
+            k: PlanningWorld(names, objects, nowhere, k, support, base, robot) for k in moved
         }
         for world in self._worlds.values():
             world.room = HAND_ROOM

@@ -14,7 +14,7 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
-from cluttergen_jax.downstream.robot.motion.execute import Execution
+from cluttergen_jax.downstream.robot import Execution
 from cluttergen_jax.downstream.transforms import matrix_of, offset, pose_of
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.own_parts import array_of, part_name

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from cluttergen_jax.assets import SupportAsset
 from cluttergen_jax.downstream.digests import constants_hash, json_digest
+from cluttergen_jax.downstream.noise import NOISE_OFF, REALSENSE, NoiseConfig, noisy
 from cluttergen_jax.downstream.perception.finder import FoundScene, SceneFinder, finder_hash
 from cluttergen_jax.downstream.rearrange.observe import EpisodeView, SceneEstimate
-from cluttergen_jax.downstream.robot.cameras import above, wrist_camera
-from cluttergen_jax.downstream.robot.description import RobotDescription
-from cluttergen_jax.downstream.robot.model import base_pose
-from cluttergen_jax.downstream.robot.sensing_arm import ArmSilhouette
+from cluttergen_jax.downstream.robot import (
+    ArmSilhouette,
+    RobotDescription,
+    above,
+    base_pose,
+    find_robot,
+    wrist_camera,
+)
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.sensing import NOISE_OFF, REALSENSE, Camera, CameraPlan, NoiseConfig, noisy
-from cluttergen_jax.views import View
+from cluttergen_jax.sensing import Camera, CameraPlan, View
 
 UNSURE = 0.5
 """Certainty below which another look is taken."""
@@ -30,6 +35,7 @@ def registration_hash(noise: NoiseConfig) -> str:
     return constants_hash(sys.modules[__name__], finder=finder_hash(), noise=noise)
 
 
+@dataclass(eq=False)
 class PerceptionObserver:
     """Tells where objects are by what cameras see alone; an `observe.Observer`.
 
@@ -52,34 +58,28 @@ class PerceptionObserver:
 
     name = "perception"
     sees_held = False
+    finder: SceneFinder
+    support: SupportAsset
+    noise: NoiseConfig = REALSENSE
+    seed: int = 0
+    weights: str = ""
+    cameras: Sequence[CameraPlan] = ()
+    has_wrist: bool = True
+    robot: RobotDescription | None = None
 
-    def __init__(
-        self,
-        finder: SceneFinder,
-        support: SupportAsset,
-        noise: NoiseConfig = REALSENSE,
-        seed: int = 0,
-        weights: str = "",
-        cameras: Sequence[CameraPlan] = (),
-        has_wrist: bool = True,
-        robot: RobotDescription | None = None,
-    ) -> None:
-        self._finder = finder
-        self._support = support
-        self._noise = noise
-        self._seed = seed
-        self._silhouette = ArmSilhouette(base_pose(support, robot), robot=robot)
+    def __post_init__(self) -> None:
+        robot = find_robot(self.robot)
+        self._silhouette = ArmSilhouette(base_pose(self.support, robot), robot)
         self._glances: list[View] = []
         self._num_before = 0
-        self.weights = weights
-        self._cameras = tuple(cameras)
-        self._has_wrist = has_wrist
-        self.registration = registration_hash(noise)
-        if cameras or not has_wrist:
-            self.registration = json_digest([self.registration, repr(self._cameras), has_wrist])
+        self.registration = registration_hash(self.noise)
+        if self.cameras or not self.has_wrist:
+            self.registration = json_digest(
+                [self.registration, repr(tuple(self.cameras)), self.has_wrist]
+            )
 
     def glance(self, world: EpisodeView) -> None:
-        self._glances = self._look(world, wrist_camera(world.tool), 0) if self._has_wrist else []
+        self._glances = self._look(world, wrist_camera(world.tool), 0) if self.has_wrist else []
 
     def __call__(
         self, world: EpisodeView, names: Sequence[str], known: np.ndarray
@@ -92,7 +92,7 @@ class PerceptionObserver:
             for place, camera in enumerate(self._around(world)):
                 looks += self._look(world, camera, number + place * MOST_LOOKS)
             if looks:
-                found = self._finder(looks, names, known, before / (before + 1))
+                found = self.finder(looks, names, known, before / (before + 1))
                 if (found.certainty >= UNSURE).all():
                     break
         if found is None:
@@ -108,20 +108,20 @@ class PerceptionObserver:
 
     def _around(self, world: EpisodeView) -> list[Camera]:
         """The cameras that stand around the table."""
-        if not self._cameras:
-            return [above(self._support)]
-        rng = np.random.default_rng((self._seed, world.seed))
-        return [plan.draw(self._support, rng) for plan in self._cameras]
+        if not self.cameras:
+            return [above(self.support)]
+        rng = np.random.default_rng((self.seed, world.seed))
+        return [plan.draw(self.support, rng) for plan in self.cameras]
 
     def _look(self, world: EpisodeView, camera: Camera, number: int) -> list[View]:
         """The picture of that number from here; none where nothing was measured."""
         rgb, depth = world.picture(camera)
         moment = round(world.time * _MILLISECONDS)
-        rng = np.random.default_rng((self._seed, world.seed, moment, number))
-        if self._noise != NOISE_OFF:
-            depth, camera = noisy(depth, camera, self._noise, rng)
+        rng = np.random.default_rng((self.seed, world.seed, moment, number))
+        if self.noise != NOISE_OFF:
+            depth, camera = noisy(depth, camera, self.noise, rng)
         is_own = self._silhouette(camera, world.joints, world.opening)
         try:
-            return [self._finder.look(rgb, depth, camera, is_own, world.names)]
+            return [self.finder.look(rgb, depth, camera, is_own, world.names)]
         except ConfigError:
             return []

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from cluttergen_jax.assets import Rectangle
 from cluttergen_jax.config import Method
 from cluttergen_jax.downstream.rearrange.layouts import AREA, Layouts, SceneDraw
-from cluttergen_jax.downstream.robot.description import RobotDescription
-from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
-from cluttergen_jax.downstream.robot.outcome import Ending
-from cluttergen_jax.downstream.robot.protocols import PathPlanner
+from cluttergen_jax.downstream.robot import (
+    Ending,
+    Grasps,
+    PathPlanner,
+    RobotDescription,
+    find_robot,
+)
 from cluttergen_jax.downstream.words import LayoutRule, PickOrder
 from cluttergen_jax.scene import Scene
 
@@ -95,7 +98,7 @@ SETTINGS = {
 
 
 @dataclass(frozen=True, eq=False)
-class RearrangeTask:
+class RearrangeProblem:
     """What is to be rearranged.
 
     Attributes:
@@ -109,7 +112,7 @@ class RearrangeTask:
       goals: draws layouts of what is moved, f64[L, n, 7], given how often it has drawn before and where the
         others stand, f64[m, 7]; None draws them in the setting's target.
       area: where an object may wait.
-      robot: that does it; the Panda if not given.
+      robot: that does it.
     """
 
     setting: RearrangeSetting
@@ -122,10 +125,10 @@ class RearrangeTask:
     planner: PathPlanner | None = None
     goals: Callable[[int, np.ndarray], np.ndarray] | None = None
     area: Rectangle = AREA
-    robot: RobotDescription | None = None
+    robot: RobotDescription = field(default_factory=find_robot)
 
 
-Chooser = Callable[[RearrangeTask, np.ndarray, Layouts], int]
+Chooser = Callable[[RearrangeProblem, np.ndarray, Layouts], int]
 """Chooses a layout by number, shown where the N objects are f64[N, 7] and what layouts there are."""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,41 +12,41 @@ import numpy as np
 from cluttergen_jax.assets import find_pool
 from cluttergen_jax.config import FilmFormat
 from cluttergen_jax.downstream.digests import constants_hash
-from cluttergen_jax.downstream.rearrange import episode, judge, layouts, moves, observe, order, task
+from cluttergen_jax.downstream.rearrange import episode, judge, layouts, observe, order, task
 from cluttergen_jax.downstream.rearrange.episode import rearrange_episode
-from cluttergen_jax.downstream.rearrange.goals import task_words
+from cluttergen_jax.downstream.rearrange.layout_views import save_sheets
 from cluttergen_jax.downstream.rearrange.observe import Observer, TrueObserver
-from cluttergen_jax.downstream.rearrange.sheet import save_sheets
-from cluttergen_jax.downstream.rearrange.starts import OwnScenes, Starts
+from cluttergen_jax.downstream.rearrange.starts import OwnScenes, Starts, task_words
 from cluttergen_jax.downstream.rearrange.task import (
     Chooser,
     RearrangeOptions,
+    RearrangeProblem,
     RearrangeResult,
     RearrangeSetting,
-    RearrangeTask,
 )
-from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
-from cluttergen_jax.downstream.robot.film import FILMS, Films
-from cluttergen_jax.downstream.robot.grasping.grasps import GraspSets
-from cluttergen_jax.downstream.robot.motion.execute import Trace
-from cluttergen_jax.downstream.robot.outcome import Endings, success_of
-from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
-from cluttergen_jax.downstream.robot.recorder import RecordAsked, open_recorder
-from cluttergen_jax.downstream.robot.trials import (
+from cluttergen_jax.downstream.robot import (
     EPISODES,
+    Endings,
+    GraspSets,
+    GraspSource,
+    PathPlanner,
+    RecordAsked,
+    RobotDescription,
+    Trace,
     episode_seed,
+    find_robot,
+    make_episodes,
+    open_recorder,
     planner_hash,
     planner_recipe,
+    success_of,
 )
-from cluttergen_jax.downstream.rows import RowFile, share_of
 from cluttergen_jax.evaluation import versions
 from cluttergen_jax.kept_folder import hold_out
 from cluttergen_jax.own_parts import is_own, part_label
+from cluttergen_jax.statistics import share_of
+from cluttergen_jax.stores import RowStore
 from cluttergen_jax.tables import aligned_table
-
-_MOST_DRAWS = 16
-_ADDED = ("grasps", "objects", "planner", "registration", "robot")
-"""Of recipes: what files of older versions lack."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +107,7 @@ def _object_row(rows: Sequence[RearrangeResult], name: str) -> tuple[str, str]:
 @cache
 def rearrange_hash() -> str:
     """Hex digest of how rearrangements are planned, done and judged, but for what an observer does."""
-    return constants_hash(episode, judge, layouts, moves, observe, order, task, arm=planner_hash())
+    return constants_hash(episode, judge, layouts, observe, order, task, arm=planner_hash())
 
 
 @hold_out
@@ -168,14 +168,12 @@ def run_rearrangements(
     recipe["planner"] = planner_recipe(rearrange_hash(), planner)
     if ask is not None:
         recipe["choose"] = "person"
-    file = RowFile(
-        None if out is None else out / EPISODES, recipe, RearrangeResult, "rearrange", _ADDED
-    )
+    file = RowStore(None if out is None else out / EPISODES, recipe, RearrangeResult, "rearrange")
     rows = file.read(number)
     # Where nothing is left to be done it is not made.
     starts = cache(lambda: Starts(setting, pool, num_threads, own_grasps, planner, own, robot))
 
-    def task_of(index: int) -> RearrangeTask:
+    def task_of(index: int) -> RearrangeProblem:
         task = starts()(episode_seed(seed, index), index)
         file.note_grasps({each.name: each.digest for each in task.grasps})
         return task
@@ -195,15 +193,7 @@ def run_rearrangements(
     if record is not None:
         words = task_words("" if own is None else own.goals)
         recorder = open_recorder(record, recipe, seed, words)
-        recorder.complete(rows, again)
-    filmed = None if out is None or films is None else Films(run, out / FILMS, films, setting.name)
-    shown = run if filmed is None else filmed.run
-    make = shown if recorder is None else partial(recorder.run, run=shown)
-    file.complete(rows, number, make, setting.name, note=note)
-    if recorder is not None:
-        recorder.finish()
+    make_episodes(file, rows, number, run, setting.name, note, out, films, recorder, again)
     if out is not None and sheets:
         save_sheets(rows, task_of, options, observer, out)
-    if filmed is not None:
-        filmed.draw(rows, again)
     return Rearrangements(setting.name, told, tuple(rows))

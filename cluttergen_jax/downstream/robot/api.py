@@ -3,26 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cluttergen_jax import SceneSpec
 from cluttergen_jax.config import FilmFormat, Method, check_names, check_range, check_workers
-from cluttergen_jax.downstream.words import MAX_NOISE, RecordFormat, RobotTask
+from cluttergen_jax.downstream.words import RecordFormat, RobotTask, check_choice, check_factor
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_file, check_folder
 from cluttergen_jax.kept_folder import hold_file
 from cluttergen_jax.numerics import with_own_settings
-from cluttergen_jax.spec import SceneSpec
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets import Rectangle
     from cluttergen_jax.downstream.placer.query import Placer, PlainPlacer
-    from cluttergen_jax.downstream.robot.description import RobotDescription
-    from cluttergen_jax.downstream.robot.grasping.grasp_dataset import GraspDataset
-    from cluttergen_jax.downstream.robot.grasping.grasps import GraspSets
-    from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
-    from cluttergen_jax.downstream.robot.trials import RobotTrials
+    from cluttergen_jax.downstream.robot import (
+        GraspDataset,
+        GraspSets,
+        GraspSource,
+        PathPlanner,
+        RobotDescription,
+        RobotTrials,
+    )
 
 _MOST_GRASPS = 4096
 _MOST_SEED = 999_999
@@ -72,7 +74,12 @@ def robot_grasps(
     """
     from cluttergen_jax.assets import find_pool
     from cluttergen_jax.downstream.robot.description import find_robot
-    from cluttergen_jax.downstream.robot.grasping.grasps import grasp_sets, write_grasps
+    from cluttergen_jax.downstream.robot.grasping.grasps import (
+        GraspSets,
+        grasp_sheet,
+        grasps_of,
+        write_grasps,
+    )
 
     check_file(out, "out", "grasps.parquet")
     check_file(picture, "picture", "grasps.png")
@@ -84,11 +91,11 @@ def robot_grasps(
     described = find_robot(robot)
     chosen = tuple(found[name] for name in objects) or found.objects
     with hold_file(out), hold_file(picture):
-        sets = grasp_sets(chosen, num_grasps, seed, num_threads, fresh, described)
+        made = grasps_of(chosen, num_grasps, seed, num_threads, fresh, described)
+        sets = GraspSets(tuple(made))
         if out is not None:
             write_grasps(Path(out), sets.sets)
         if picture is not None:
-            from cluttergen_jax.downstream.robot.grasping.picture import grasp_sheet
             from cluttergen_jax.rendering import save_png
 
             save_png(grasp_sheet(chosen, sets), picture)
@@ -172,20 +179,19 @@ def robot_place(
       MissingExtraError: the extra `robot` is not installed.
       RendererError: pictures are asked for, and nothing here can draw.
     """
-    import os
     from dataclasses import replace
-    from typing import Any, get_args
+    from typing import Any
 
     from cluttergen_jax import generate
     from cluttergen_jax.downstream.bank_scenes import bank_or_made, poses_of
-    from cluttergen_jax.downstream.digests import json_digest
-    from cluttergen_jax.downstream.placer.heads.checkpoint import placer_folder
+    from cluttergen_jax.downstream.digests import folder_hash, json_digest
+    from cluttergen_jax.downstream.placer.scored import placer_folder
     from cluttergen_jax.downstream.robot.description import find_robot
     from cluttergen_jax.downstream.robot.film import check_films
     from cluttergen_jax.downstream.robot.places import CameraPlacer, SearchPlaces
     from cluttergen_jax.downstream.robot.recorder import RecordAsked
     from cluttergen_jax.downstream.robot.trials import keep_upright_last, own_place, run_trials
-    from cluttergen_jax.learning import checkpoint_of, folder_hash
+    from cluttergen_jax.learning import checkpoint_of
     from cluttergen_jax.own_parts import part_label, part_name
     from cluttergen_jax.scene import Bank, read_scenes, region_of
 
@@ -193,10 +199,9 @@ def robot_place(
     check_workers("num_threads", num_threads)
     check_range("num_episodes", num_episodes, 1, _MOST_EPISODES, 40)
     check_range("seed", seed, 0, _MOST_SEED, 0)
-    if task not in get_args(RobotTask):
-        raise ConfigError(f"task = {task!r}", ", ".join(get_args(RobotTask)))
+    check_choice("task", task, RobotTask)
     looking = _looking(placer)
-    factor = _factor(noise, task, looking is not None)
+    factor = _factor(noise, task == "place" and looking is not None)
     described = find_robot(robot)
     recorded = RecordAsked.of(record, record_format, record_cameras)
     if films:
@@ -226,7 +231,6 @@ def robot_place(
     is_named = isinstance(placer, str | Path)
     told = str(placer) if is_named else part_label(placer, "placer")
     rows = {"task": task, "placer": told, "seed": seed, "pool": recipe.get("pool"), "bank": made}
-    threads = num_threads or os.cpu_count() or 1
     places: Any = own_place
     if task == "place" and looking is not None:
         places = CameraPlacer(
@@ -235,7 +239,7 @@ def robot_place(
         trained = placer_folder(placer) if isinstance(placer, str | Path) else None
         rows |= {"noise": factor, "weights": trained and folder_hash(trained)}
     elif task == "place" and placer != "none":
-        places = SearchPlaces(found, str(placer), seed, threads)
+        places = SearchPlaces(found, str(placer), seed, num_threads)
         policy = checkpoint_of(str(placer), str(recipe.get("pool")))
         rows |= {"weights": policy and policy.hash}
     return run_trials(
@@ -245,7 +249,7 @@ def robot_place(
         seed,
         Path(out) / task,
         rows,
-        num_threads=threads,
+        num_threads=num_threads,
         places=places,
         films=film if films else None,
         robot=described,
@@ -281,7 +285,7 @@ def _looking(placer: str | Path | Placer | PlainPlacer) -> Placer | PlainPlacer 
     return None if isinstance(found, FullState) else found
 
 
-def _factor(noise: float | None, task: str, is_looking: bool) -> float:
+def _factor(noise: float | None, is_looking: bool) -> float:
     """So many times the usual noise.
 
     Raises:
@@ -289,18 +293,13 @@ def _factor(noise: float | None, task: str, is_looking: bool) -> float:
     """
     if noise is None:
         return 1.0
-    if task != "place":
-        raise ConfigError(
-            f"noise = {noise!r} with task = {task!r}",
-            "place, and a placer that looks",
-            "task='place'",
-        )
     if not is_looking:
         raise ConfigError(
-            f"noise = {noise!r} where nothing looks", "a placer that looks", "placer='scored'"
+            f"noise = {noise!r} where nothing looks",
+            "task='place' and a placer that looks",
+            "placer='scored'",
         )
-    if not (isinstance(noise, Real) and 0 <= noise <= MAX_NOISE):
-        raise ConfigError(f"noise = {noise!r}", f"0 to {MAX_NOISE:g}", "noise=1")
+    check_factor(noise)
     return float(noise)
 
 
@@ -355,8 +354,7 @@ def grasp_dataset(
     check_workers("num_threads", num_threads)
     check_range("num_grasps", num_grasps, 1, _MOST_GRASPS, 120)
     check_range("views", views, 1, _MOST_VIEWS, 6)
-    if not (isinstance(noise, Real) and 0 <= noise <= MAX_NOISE):
-        raise ConfigError(f"noise = {noise!r}", f"0 to {MAX_NOISE:g}", "noise=1")
+    check_factor(noise)
     check_range("seed", seed, 0, _MOST_SEED, 0)
     if num_lifts is not None:
         check_range("num_lifts", num_lifts, 0, _MOST_GRASPS, 20)

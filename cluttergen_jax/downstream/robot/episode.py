@@ -18,7 +18,7 @@ from cluttergen_jax.downstream.robot.motion.collision import PlanningWorld
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase, Trace
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.motion.mover import LIFT, MAX_SLIP, MAX_TURN, Mover
-from cluttergen_jax.downstream.robot.outcome import Ending, Failed, Outcome
+from cluttergen_jax.downstream.robot.outcome import Ending, Failed, Outcome, run_to_end, told_motion
 from cluttergen_jax.downstream.robot.places import CameraPlacer
 from cluttergen_jax.downstream.robot.protocols import PathPlanner
 from cluttergen_jax.downstream.robot.sensing_arm import SensingArm
@@ -140,6 +140,11 @@ class Referee:
         is_far = (shift > limits.max_shift) | (turn > limits.max_turn)
         return [number for number, far in zip(self._others, is_far, strict=True) if far]
 
+    def check_placed(self) -> None:
+        """The object stays where it was let go, in the region (Failed: it does not)."""
+        self.check_stands()
+        self.check_region()
+
     def check_stands(self) -> None:
         """Waits, and looks whether the object stays where it was let go.
 
@@ -152,7 +157,7 @@ class Referee:
             self.execution.wait(0.1, Phase.FREE)
             shift, turn = motion_between(self.execution.poses()[self.target], start)
             if has_moved(shift, turn, limits):
-                raise Failed(Outcome.UNSTABLE, f"{1e3 * shift:.0f} mm, {np.degrees(turn):.0f} deg")
+                raise Failed(Outcome.UNSTABLE, told_motion(float(shift), float(turn)))
             self.check_others()
 
     def check_region(self) -> None:
@@ -182,7 +187,7 @@ class Referee:
         shift, turn, height = self.errors(place)
         shift = float(np.hypot(shift, height))
         if shift > MAX_SLIP or turn > MAX_TURN:
-            raise Failed(outcome, f"{1e3 * shift:.0f} mm, {np.degrees(turn):.0f} deg")
+            raise Failed(outcome, told_motion(shift, turn))
 
 
 class EpisodeWorld(Referee):
@@ -202,9 +207,10 @@ class EpisodeWorld(Referee):
         robot: RobotDescription | None = None,
     ) -> None:
         super().__init__(scene, target, stands, trace, robot)
+        robot = self.execution.robot
         base = base_pose(scene.support, robot)
         known = (scene.names, scene.objects, scene.poses)
-        planning = PlanningWorld(*known, target, scene.support, base, stands, robot=robot)
+        planning = PlanningWorld(*known, target, scene.support, base, robot, stands)
         self.mover = Mover(
             self.execution, planning, ArmKinematics(base, robot), target, seed, planner=planner
         )
@@ -217,95 +223,67 @@ class Put(NamedTuple):
     place: np.ndarray
 
 
-def lift_episode(
+def robot_episode(
     scene: Scene,
     target: int,
     grasps: Grasps,
     seed: int,
+    places: np.ndarray | CameraPlacer | None = None,
     trace: Trace | None = None,
     planner: PathPlanner | None = None,
     robot: RobotDescription | None = None,
 ) -> EpisodeResult:
-    """One object is lifted by `mover.LIFT` out of those that stand around it; planner: see `Mover`."""
-    world = EpisodeWorld(scene, target, (), seed, trace, planner, robot)
-
-    def run() -> None:
-        height = world.execution.pose(target)[2, 3]
-        world.mover.pick(world.mover.find_pick(grasps))
-        world.check_others()
-        if world.execution.pose(target)[2, 3] < height + 0.8 * LIFT:
-            raise Failed(Outcome.SLIP, "not lifted")
-
-    return _run_episode(world, run)
-
-
-def place_episode(
-    scene: Scene,
-    target: int,
-    grasps: Grasps,
-    places: np.ndarray,
-    seed: int,
-    trace: Trace | None = None,
-    planner: PathPlanner | None = None,
-    robot: RobotDescription | None = None,
-) -> EpisodeResult:
-    """One object is picked from a stand beside the table and put among the others; the arm knows all.
+    """One object is lifted out of those that stand around it, or picked from a stand and put among them.
 
     Args:
-      scene: all objects; where the target stands in it does not count.
-      places: f64[M, 7], T_world_object, settled poses that are proposed for it, best first.
-      seed: of its turn on the stand, and of the motions. planner: see `Mover`.
+      scene: all objects; where the target stands in it does not count if it is placed.
+      seed: of its turn on the stand, of the motions, noise and proposals.
+      places: f64[M, 7], T_world_object, settled poses that are proposed for it, best first, to an arm that
+        knows all; or a placer for the scene's bank, which an arm asks that sees the others; None lifts it by
+        `mover.LIFT`.
+      planner: see `Mover`. robot: the Panda if not given.
     """
+    if places is None:
+        world = EpisodeWorld(scene, target, (), seed, trace, planner, robot)
+        return _run_episode(world, lambda: _lift(world, grasps))
     scene, stand = set_on_stand(scene, target, seed)
-    world = EpisodeWorld(scene, target, (stand,), seed, trace, planner, robot)
-    wanted = matrix_of(places)
-
-    def run() -> None:
-        world.mover.pick(world.mover.find_pick(grasps, wanted))
-        world.check_others()
-        used = world.mover.place(wanted)
-        world.put = Put(used, wanted[used])
-        world.check_others()
-        world.check_stands()
-        world.check_region()
-
-    return _run_episode(world, run)
-
-
-def sensing_place_episode(
-    scene: Scene,
-    target: int,
-    grasps: Grasps,
-    placer: CameraPlacer,
-    seed: int,
-    trace: Trace | None = None,
-    planner: PathPlanner | None = None,
-    robot: RobotDescription | None = None,
-) -> EpisodeResult:
-    """As `place_episode`, by an arm that sees the others and asks a placer where to put the object.
-
-    Args:
-      placer: made for the scene's bank.
-      seed: of the object's turn on the stand, of the motions, noise and proposals. planner: see `Mover`.
-    """
-    scene, stand = set_on_stand(scene, target, seed)
-    world = Referee(scene, target, (stand,), trace, robot)
+    if not isinstance(places, CameraPlacer):
+        wanted = matrix_of(places)
+        world = EpisodeWorld(scene, target, (stand,), seed, trace, planner, robot)
+        return _run_episode(world, lambda: _place(world, grasps, wanted))
+    referee = Referee(scene, target, (stand,), trace, robot)
     asset = scene.objects[target]
-    start = scene.poses[target]
-    known = (world.execution, asset, start, scene.support, stand, placer)
+    known = (referee.execution, asset, scene.poses[target], scene.support, stand, places)
     arm = SensingArm(*known, scene.names[target], seed, planner)
+    row = _run_episode(referee, lambda: _place_by_sight(referee, arm, grasps))
+    return replace(row, placer=places.name, looks=arm.looks)
 
-    def run() -> None:
-        mover = arm.pick(grasps)
-        world.check_others()
-        world.check_near(arm.believed, Outcome.SLIP)
-        world.put = Put(*arm.put(mover))
-        world.check_others()
-        world.check_near(world.put.place, Outcome.UNSTABLE)
-        world.check_stands()
-        world.check_region()
 
-    return replace(_run_episode(world, run), placer=placer.name, looks=arm.looks)
+def _lift(world: EpisodeWorld, grasps: Grasps) -> None:
+    height = world.execution.pose(world.target)[2, 3]
+    world.mover.pick(world.mover.find_pick(grasps))
+    world.check_others()
+    if world.execution.pose(world.target)[2, 3] < height + 0.8 * LIFT:
+        raise Failed(Outcome.SLIP, "not lifted")
+
+
+def _place(world: EpisodeWorld, grasps: Grasps, wanted: np.ndarray) -> None:
+    world.mover.pick(world.mover.find_pick(grasps, wanted))
+    world.check_others()
+    used = world.mover.place(wanted)
+    world.put = Put(used, wanted[used])
+    world.check_others()
+    world.check_placed()
+
+
+def _place_by_sight(referee: Referee, arm: SensingArm, grasps: Grasps) -> None:
+    mover = arm.pick(grasps)
+    referee.check_others()
+    referee.check_near(arm.believed, Outcome.SLIP)
+    referee.put = Put(*arm.put(mover))
+    referee.check_others()
+    referee.check_near(referee.put.place, Outcome.UNSTABLE)
+    referee.check_placed()
 
 
 def set_on_stand(scene: Scene, target: int, seed: int) -> tuple[Scene, Box]:
@@ -323,13 +301,7 @@ def set_on_stand(scene: Scene, target: int, seed: int) -> tuple[Scene, Box]:
 
 def _run_episode(world: Referee, run: Callable[[], None]) -> EpisodeResult:
     begun = time.process_time()
-    try:
-        run()
-        outcome = str(Outcome.SUCCESS)
-        detail = ""
-    except Failed as failure:
-        outcome = str(failure.outcome)
-        detail = failure.detail
+    outcome, detail = run_to_end(run)
     world.moved_others()
     put = world.put
     error, turn_error, z_error = (float("nan"),) * 3 if put is None else world.errors(put.place)

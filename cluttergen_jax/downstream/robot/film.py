@@ -12,8 +12,7 @@ import numpy as np
 from cluttergen_jax.config import FilmFormat
 from cluttergen_jax.downstream.robot.model import TIMESTEP, Robot, add_pedestal, base_pose
 from cluttergen_jax.downstream.robot.motion.execute import Trace
-from cluttergen_jax.downstream.robot.outcome import EpisodeRow
-from cluttergen_jax.errors import BankError
+from cluttergen_jax.downstream.robot.outcome import EpisodeRow, check_repeated, ending_of
 from cluttergen_jax.files import inside
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.rendering import (
@@ -132,19 +131,8 @@ class Films(Generic[RowT]):
         if kept == number and trace is not None:
             return trace
         trace = Trace(EVERY)
-        found = again(number, trace)
-        if (found.outcome, found.detail) != (row.outcome, row.detail):
-            raise BankError(
-                f"episode {number} in {self._folder.parent} ended with {_ending(row)!r}, and run again with "
-                f"{_ending(found)!r}",
-                "episodes that end as they did, as those of the same version and machine do",
-                "another folder",
-            )
+        check_repeated(number, row, again(number, trace))
         return trace
-
-
-def _ending(row: EpisodeRow) -> str:
-    return f"{row.outcome}: {row.detail}".strip(" :")
 
 
 def episode_frames(trace: Trace, title: str, row: EpisodeRow) -> Iterator[np.ndarray]:
@@ -182,7 +170,7 @@ def episode_frames(trace: Trace, title: str, row: EpisodeRow) -> Iterator[np.nda
             held = trace.held[number]
             moved = f": {trace.scene.names[held]} in hand" if held >= 0 else ""
             yield frame_of(trace.states[number], f"{title}{moved}, {(number + 1) * step:.1f} s")
-        text = f"{title}: {_ending(row)}, {row.seconds:.1f} s"
+        text = f"{title}: {ending_of(row)}, {row.seconds:.1f} s"
         last = frame_of(trace.data.qpos, text, GREEN if row.is_success else RED)
         yield from [last] * round(_HELD * FPS)
 

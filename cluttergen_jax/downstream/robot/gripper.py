@@ -9,9 +9,12 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.config import ContactConfig
-from cluttergen_jax.downstream.robot.description import GripperTable, RobotDescription, find_robot
+from cluttergen_jax.downstream.robot.description import (
+    GripperTable,
+    RobotDescription,
+    compile_model,
+)
 from cluttergen_jax.downstream.robot.model import hand_spec
-from cluttergen_jax.downstream.robot.model_files import compile_model
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.errors import ConfigError
 
@@ -86,13 +89,12 @@ class Gripper:
 
 
 @cache
-def gripper_of(robot: RobotDescription | None = None) -> Gripper:
-    """The gripper of a robot, the Panda's if not given.
+def gripper_of(robot: RobotDescription) -> Gripper:
+    """The gripper of a robot.
 
     Raises:
       ConfigError: it does not open and close as its description says.
     """
-    robot = robot or find_robot()
     given = robot.gripper
     model = compile_model(hand_spec(ContactConfig(), robot), robot.name)
     driven = np.array([model.joint(name).id for name in given.joints])

@@ -15,8 +15,8 @@ from cluttergen_jax.downstream.robot.description import (
     RobotDescription,
     arm_limits,
     find_robot,
+    mujoco_spec,
 )
-from cluttergen_jax.downstream.robot.model_files import mujoco_spec
 from cluttergen_jax.geometry import rotate_in_plane, yaw_quaternion
 from cluttergen_jax.scene import Scene
 
@@ -27,7 +27,7 @@ TIMESTEP = 1 / 960
 _LIBCCD = int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
 """The flag of models whose collisions libccd finds."""
 _OPTIONS = ("timestep", "gravity", "cone", "impratio", "iterations", "noslip_iterations")
-_IMPRATIO = 10.0
+IMPRATIO = 10.0
 """As Menagerie has it for the Panda. At 1, which scenes are made with, soft friction creeps by millimetres a
 second under what hangs beside the fingers."""
 _WORLD = "world"
@@ -38,9 +38,8 @@ _PEDESTAL = 0.11
 _PEDESTAL_RGBA = (0.36, 0.37, 0.39, 1.0)
 
 
-def arm_spec(contact: ContactConfig, robot: RobotDescription | None = None) -> mujoco.MjSpec:
-    """A whole robot with its base at the origin, the Panda if not given."""
-    robot = robot or find_robot()
+def arm_spec(contact: ContactConfig, robot: RobotDescription) -> mujoco.MjSpec:
+    """A whole robot with its base at the origin."""
     spec = mujoco_spec(robot.arm.path)
     if not robot.gripper.attach:
         _prepare_gripper(spec, robot.gripper)
@@ -48,7 +47,7 @@ def arm_spec(contact: ContactConfig, robot: RobotDescription | None = None) -> m
     _prepare_arm(spec, robot)
     if robot.gripper.attach:
         hand = hand_spec(contact, robot)
-        _copy_options(spec, hand)
+        copy_options(spec, hand)
         pose = robot.gripper.pose
         name = robot.gripper.attach
         prefix = robot.of_gripper("")
@@ -62,9 +61,9 @@ def arm_spec(contact: ContactConfig, robot: RobotDescription | None = None) -> m
     return spec
 
 
-def hand_spec(contact: ContactConfig, robot: RobotDescription | None = None) -> mujoco.MjSpec:
+def hand_spec(contact: ContactConfig, robot: RobotDescription) -> mujoco.MjSpec:
     """The gripper alone, fixed in the world, its hand's frame the world's."""
-    gripper = (robot or find_robot()).gripper
+    gripper = robot.gripper
     spec = mujoco_spec(gripper.path)
     _prepare_gripper(spec, gripper)
     _prepare(spec, contact)
@@ -157,11 +156,12 @@ def _for_holding(spec: mujoco.MjSpec) -> None:
     """
     spec.option.timestep = TIMESTEP
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.impratio = _IMPRATIO
+    spec.option.impratio = IMPRATIO
     spec.option.disableflags &= ~_LIBCCD
 
 
-def _copy_options(source: mujoco.MjSpec, target: mujoco.MjSpec) -> None:
+def copy_options(source: mujoco.MjSpec, target: mujoco.MjSpec) -> None:
+    """Gives a model the options of what it is attached to."""
     for option in _OPTIONS:
         setattr(target.option, option, getattr(source.option, option))
     target.option.integrator = source.option.integrator
@@ -179,7 +179,7 @@ def attach_robot(
     spec: mujoco.MjSpec, arm: mujoco.MjSpec, robot: RobotDescription, base: np.ndarray
 ) -> mujoco.MjSpec:
     """Puts a robot (`arm_spec`) into a model, its base at f64[7]; its options become those of the model."""
-    _copy_options(spec, arm)
+    copy_options(spec, arm)
     frame = spec.worldbody.add_frame(pos=base[:3], quat=base[3:])
     spec.attach(arm, prefix=robot.prefix, frame=frame)
     return spec

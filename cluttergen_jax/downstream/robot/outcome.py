@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
 
-from cluttergen_jax.downstream.rows import share_of
+from cluttergen_jax.errors import BankError
+from cluttergen_jax.statistics import share_of
 
 
 class Outcome(StrEnum):
@@ -66,6 +68,35 @@ class EpisodeRow(Protocol):
     def is_success(self) -> bool: ...
     @property
     def seconds(self) -> float: ...
+
+
+def run_to_end(run: Callable[[], None]) -> tuple[str, str]:
+    """Runs an episode: its outcome, and of what (`Ending`)."""
+    try:
+        run()
+    except Failed as failure:
+        return str(failure.outcome), failure.detail
+    return str(Outcome.SUCCESS), ""
+
+
+def told_motion(shift: float, turn: float) -> str:
+    """Metres and radians in words."""
+    return f"{1e3 * shift:.0f} mm, {math.degrees(turn):.0f} deg"
+
+
+def ending_of(row: EpisodeRow) -> str:
+    """How an episode ended, and of what."""
+    return f"{row.outcome}: {row.detail}".strip(" :")
+
+
+def check_repeated(number: int, known: EpisodeRow, found: EpisodeRow) -> None:
+    """Refuses an episode that was run once more and ended in another way (BankError)."""
+    if (found.outcome, found.detail) != (known.outcome, known.detail):
+        raise BankError(
+            f"episode {number} ended with {ending_of(known)!r}, and run again with {ending_of(found)!r}",
+            "episodes that end as they did, as those of the same version and machine do",
+            "another `out`",
+        )
 
 
 class Endings:

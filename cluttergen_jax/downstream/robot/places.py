@@ -11,7 +11,8 @@ import numpy as np
 
 from cluttergen_jax.assets import Rectangle
 from cluttergen_jax.downstream.bank_scenes import check_one_level
-from cluttergen_jax.downstream.placer.map_from_depth import QueryMaker
+from cluttergen_jax.downstream.noise import REALSENSE
+from cluttergen_jax.downstream.placer.map_from_depth import DepthView, QueryMaker
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes, ProposalJudge, world_pose
 from cluttergen_jax.downstream.placer.proposers import FullState, proposals_of
 from cluttergen_jax.downstream.placer.query import (
@@ -22,9 +23,8 @@ from cluttergen_jax.downstream.placer.query import (
     check_proposals,
     is_plain,
 )
-from cluttergen_jax.downstream.placer.scene_cameras import DepthView
 from cluttergen_jax.downstream.robot.cameras import above
-from cluttergen_jax.downstream.robot.motion.occupancy_boxes import (
+from cluttergen_jax.downstream.robot.motion.collision import (
     CELL,
     OccupancyBoxes,
     occupancy_boxes,
@@ -35,7 +35,7 @@ from cluttergen_jax.numerics import new_key
 from cluttergen_jax.own_parts import is_own
 from cluttergen_jax.placement import Candidates, Rules, lower_onto
 from cluttergen_jax.scene import Bank, Scene
-from cluttergen_jax.sensing import REALSENSE, Camera, merge_maps
+from cluttergen_jax.sensing import Camera, merge_maps
 from cluttergen_jax.types import Array, Verdict
 
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -17,18 +15,13 @@ from cluttergen_jax.downstream.robot.cameras import FOCAL, SIZE, wrist_camera
 from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.transforms import pose_of
-from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.files import write_atomically
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import rotate_in_plane
-from cluttergen_jax.kept_folder import FolderLock, KeptFolder, check_recipe
 from cluttergen_jax.rendering import CameraView, add_lighting, open_renderer, set_range
-from cluttergen_jax.schema import SchemaError, checked_record, with_checksum
 from cluttergen_jax.sensing import Camera, CameraPlan, parse_cameras
 
 FPS = 20
 """Frames per second of simulated time."""
-RECORD = "recording.json"
-"""How recordings were made, in their folder."""
 THIRD = "third"
 WRIST = "wrist"
 # Metres from the region's middle on the top, in the region's axes: the camera `third`, across the table.
@@ -39,7 +32,7 @@ _REACH = 1.5
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class EpisodeRecording:
     """One episode, T frames.
 
     Attributes:
@@ -190,35 +183,3 @@ class RecordCameras:
             name: None if name == WRIST else _third_camera(support) for name in self.own
         }
         return found | {plan.name: plan.draw(support, rng) for plan in self.plans}
-
-
-def hold_folder(path: Path, told: Mapping[str, Any]) -> FolderLock:
-    """Holds a folder of recordings, which is made if need be.
-
-    Args:
-      told: what makes recordings comparable.
-
-    Raises:
-      BankError: it holds something else or recordings of other settings, or another process writes there.
-    """
-    place = path / RECORD
-    kept = KeptFolder(
-        path,
-        lambda each: (each / RECORD).is_file(),
-        "{path} holds {other}, no recordings",
-        lambda _: False,
-    )
-    lock = kept.lock()
-    try:
-        if place.is_file():
-            known = checked_record(place.read_bytes())
-            check_recipe(path, "recordings made", told, known, "another `record`")
-        else:
-            write_atomically(place, json.dumps(with_checksum(told), indent=1).encode())
-    except SchemaError as error:
-        lock.release()
-        raise BankError(f"{place}: damaged ({error})", "recordings", "another `record`") from error
-    except BaseException:
-        lock.release()
-        raise
-    return lock

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import mujoco
 import numpy as np
 from scipy.ndimage import binary_dilation
@@ -9,7 +11,7 @@ from scipy.ndimage import binary_dilation
 from cluttergen_jax.assets import VISUAL_GROUP, Box, ObjectAsset, SupportAsset, add_part
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.cameras import wrist_camera
-from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
+from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.robot.model import Robot, arm_spec, attach_robot, base_pose
@@ -34,17 +36,16 @@ class ArmSilhouette:
     """Says which pixels of a picture the arm and one object cover.
 
     Args:
-      base: f64[7], T_world_base. asset: the object that it brings; None leaves only the arm out.
-      robot: that stands at `base`; the Panda if not given.
+      base: f64[7], T_world_base, of the `robot`.
+      asset: the object that it brings; None leaves only the arm out.
     """
 
     def __init__(
         self,
         base: np.ndarray,
+        robot: RobotDescription,
         asset: ObjectAsset | None = None,
-        robot: RobotDescription | None = None,
     ) -> None:
-        robot = robot or find_robot()
         spec = attach_robot(mujoco.MjSpec(), arm_spec(ContactConfig(), robot), robot, base)
         brought = spec.worldbody.add_body(name=_BROUGHT)
         for index, part in enumerate(() if asset is None else asset.parts):
@@ -115,6 +116,7 @@ class HeldPose:
         return pose_of(self._pose)[None]
 
 
+@dataclass(eq=False)
 class SensingArm:
     """Brings one object from its stand to where a placer wants it, by what its cameras see.
 
@@ -130,31 +132,21 @@ class SensingArm:
       looks: pictures that were taken.
     """
 
-    def __init__(
-        self,
-        execution: Execution,
-        asset: ObjectAsset,
-        start: np.ndarray,
-        support: SupportAsset,
-        stand: Box,
-        placer: CameraPlacer,
-        name: str,
-        seed: int,
-        planner: PathPlanner | None = None,
-    ) -> None:
-        self._execution = execution
-        self._asset = asset
-        self._start = start
-        self._support = support
-        self._stand = stand
-        self._placer = placer
-        self._name = name
-        self._seed = seed
-        self._rng = np.random.default_rng((seed, 1))
-        self._base = base_pose(support, execution.robot)
-        self._silhouette = ArmSilhouette(self._base, asset, execution.robot)
-        self._object = HeldPose(execution, start)
-        self._planner = planner
+    execution: Execution
+    asset: ObjectAsset
+    start: np.ndarray
+    support: SupportAsset
+    stand: Box
+    placer: CameraPlacer
+    name: str
+    seed: int
+    planner: PathPlanner | None = None
+
+    def __post_init__(self) -> None:
+        self._rng = np.random.default_rng((self.seed, 1))
+        self._base = base_pose(self.support, self.execution.robot)
+        self._silhouette = ArmSilhouette(self._base, self.execution.robot, self.asset)
+        self._object = HeldPose(self.execution, self.start)
         self._views: list[DepthView] = []
         self._fitting: np.ndarray | None = None
         self.looks = 0
@@ -170,22 +162,21 @@ class SensingArm:
         Raises:
           Failed: no grasp, no way, or something went wrong.
         """
-        self._look(wrist_camera(self._execution.tool))
+        self._look(wrist_camera(self.execution.tool))
         self._swing_aside()
-        self._look(self._placer.overhead)
-        kinematics = ArmKinematics(self._base, self._execution.robot)
-        world = self._world()
-        see = self._object
+        self._look(self.placer.overhead)
+        run = self.execution
+        kinematics = ArmKinematics(self._base, run.robot)
         mover = Mover(
-            self._execution,
-            world,
+            run,
+            self._world(),
             kinematics,
             0,
-            self._seed,
-            see=see,
+            self.seed,
+            see=self._object,
             rooms=ROOMS,
             feels=True,
-            planner=self._planner,
+            planner=self.planner,
         )
         mover.pick(self._find_pick(mover, grasps))
         return mover
@@ -199,9 +190,9 @@ class SensingArm:
         Raises:
           Failed: nothing was proposed, there is no way, or something went wrong.
         """
-        self._look(self._placer.overhead)
+        self._look(self.placer.overhead)
         mover.plan_in(self._world())
-        places = self._placer.in_world(self._propose(self._fitting))
+        places = self.placer.in_world(self._propose(self._fitting))
         if not len(places):
             raise Failed(Outcome.NO_PLACE)
         number = mover.place(places)
@@ -209,42 +200,42 @@ class SensingArm:
 
     def _look(self, camera: Camera) -> None:
         """Takes a picture; what it shows of the arm and the object is left out."""
-        run = self._execution
-        depth, camera = self._placer.measure(run.depth(camera), camera, self._rng)
+        run = self.execution
+        depth, camera = self.placer.measure(run.depth(camera), camera, self._rng)
         is_own = self._silhouette(camera, run.joints, run.opening, self._object()[0])
         self._views.append(DepthView(np.where(is_own, np.float32(np.nan), depth), camera))
         self.looks += 1
 
     def _swing_aside(self) -> None:
         """Turns the arm at its base, at the height at which it waits: above all that stands on a table."""
-        run = self._execution
+        run = self.execution
         aside = run.set_point
         aside[0] += _ASIDE
-        run.follow(run.motion_along(np.linspace(run.set_point, aside, 8)), Phase.FREE)
+        run.follow(np.linspace(run.set_point, aside, 8), Phase.FREE)
         run.wait(0.2, Phase.FREE)
 
     def _world(self) -> PlanningWorld:
         return PlanningWorld(
-            (self._name,),
-            (self._asset,),
-            self._start[None],
+            (self.name,),
+            (self.asset,),
+            self.start[None],
             0,
-            self._support,
+            self.support,
             self._base,
-            (self._stand,),
-            self._placer.columns(self._views),
-            self._execution.robot,
+            self.execution.robot,
+            (self.stand,),
+            self.placer.columns(self._views),
         )
 
     def _propose(self, last: np.ndarray | None = None) -> np.ndarray:
-        return self._placer.propose(self._views, self._name, self._seed, last)
+        return self.placer.propose(self._views, self.name, self.seed, last)
 
     def _find_pick(self, mover: Mover, grasps: Grasps) -> PickPlan:
         """A grasp that fits one of the places that are proposed so far, if there is one."""
         proposed = self._propose()
         if len(proposed):
             try:
-                found = mover.find_pick(grasps, self._placer.in_world(proposed))
+                found = mover.find_pick(grasps, self.placer.in_world(proposed))
                 self._fitting = proposed[mover.fitting]
                 return found
             except Failed:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import cycle, islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,30 +17,22 @@ from cluttergen_jax.config import FilmFormat
 from cluttergen_jax.downstream.digests import constants_hash
 from cluttergen_jax.downstream.robot import cameras, episode, gripper, model, sensing_arm
 from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
-from cluttergen_jax.downstream.robot.episode import (
-    EpisodeResult,
-    lift_episode,
-    place_episode,
-    sensing_place_episode,
-)
+from cluttergen_jax.downstream.robot.episode import EpisodeResult, robot_episode
 from cluttergen_jax.downstream.robot.film import FILMS, Films
 from cluttergen_jax.downstream.robot.grasping import grips
-from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, GraspSets
-from cluttergen_jax.downstream.robot.grasping.own_grasps import GraspFinder
+from cluttergen_jax.downstream.robot.grasping.grasps import GraspFinder, Grasps, GraspSets
 from cluttergen_jax.downstream.robot.motion import (
     collision,
     execute,
     ik,
     mover,
-    occupancy_boxes,
     plan,
 )
 from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.outcome import Endings, Outcome, causes_of, success_of
 from cluttergen_jax.downstream.robot.places import CameraPlacer
 from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
-from cluttergen_jax.downstream.robot.recorder import RecordAsked, open_recorder
-from cluttergen_jax.downstream.rows import RowFile
+from cluttergen_jax.downstream.robot.recorder import EpisodeRecorder, RecordAsked, open_recorder
 from cluttergen_jax.downstream.words import RobotTask
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.evaluation import versions
@@ -47,11 +40,10 @@ from cluttergen_jax.geometry import rotation_matrix
 from cluttergen_jax.kept_folder import hold_out
 from cluttergen_jax.own_parts import part_label
 from cluttergen_jax.scene import Scene
+from cluttergen_jax.stores import RowStore
 from cluttergen_jax.tables import aligned_table
 
 EPISODES = "episodes.jsonl"
-_ADDED = ("grasps", "planner", "robot", "versions", "weights")
-"""Of recipes: what files of older versions lack."""
 _UPRIGHT = math.cos(math.radians(3.0))
 Places = Callable[[int, Scene], np.ndarray]
 """Where the last object of a scene may stand: f64[M, 7], T_world_object, best first."""
@@ -177,14 +169,12 @@ def run_trials(
         "planner": planner_recipe(planner_hash(), planner),
         "versions": versions(),
     }
-    file = RowFile(
-        None if out is None else out / EPISODES, recipe, EpisodeResult, "robot place", _ADDED
-    )
+    file = RowStore(None if out is None else out / EPISODES, recipe, EpisodeResult, "robot place")
     rows = file.read(number)
     # A bank that has grown has scenes of their own for episodes which took the first ones again.
-    there = {-1, *(_number_of(scenes, index) for index in range(len(scenes)))}
+    numbers = [-1 if each.origin is None else each.origin.index for each in scenes]
     for index, row in enumerate(rows):
-        if row.scene not in there:
+        if row.scene not in (-1, *numbers):
             raise BankError(
                 f"{out}: episode {index} is of scene {row.scene}, which is not among those that stand",
                 "the bank that the rows are of",
@@ -195,47 +185,61 @@ def run_trials(
     grasps: dict[str, Grasps] = dict(zip(assets, found, strict=True))
     file.note_grasps({name: each.digest for name, each in grasps.items()})
 
-    by_number = {_number_of(scenes, index): scenes[index] for index in range(len(scenes))}
-
     def run(index: int, trace: Trace | None = None) -> EpisodeResult:
-        scene = scenes[index % len(scenes)]
-        if index < len(rows):
+        place = index % len(scenes)
+        if index < len(rows) and rows[index].scene >= 0:
             # Its own, which the bank may have had elsewhere in the row of episodes.
-            scene = by_number.get(rows[index].scene, scene)
-        row = _episode(
-            scene, task, grasps[scene.objects[-1].name], places, index, seed, trace, planner, robot
-        )
-        return replace(row, scene=scene.origin.index if scene.origin is not None else -1)
+            place = numbers.index(rows[index].scene)
+        scene = scenes[place]
+        of_object = grasps[scene.objects[-1].name]
+        row = _episode(scene, task, of_object, places, index, seed, trace, planner, robot)
+        return replace(row, scene=numbers[place])
 
     def note(rows: list[EpisodeResult]) -> str:
         good = sum(row.is_success for row in rows)
         return f"{good} of {len(rows)} good, {rows[-1].object}: {rows[-1].outcome}"
 
-    filmed = None if out is None or films is None else Films(run, out / FILMS, films, task)
-    shown = run if filmed is None else filmed.run
     recorder = (
         None if record is None else open_recorder(record, recipe, seed, partial(_task_text, task))
     )
-    make = shown if recorder is None else partial(recorder.run, run=shown)
+    make_episodes(file, rows, number, run, task, note, out, films, recorder)
+    return RobotTrials(task, tuple(rows))
+
+
+def make_episodes(
+    file: RowStore[Any],
+    rows: list[Any],
+    number: int,
+    run: Callable[..., Any],
+    title: str,
+    note: Callable[[list[Any]], str],
+    out: Path | None,
+    films: FilmFormat | None,
+    recorder: EpisodeRecorder | None,
+    again: Callable[[int, Trace], Any] | None = None,
+) -> None:
+    """Makes the rows that are missing, and records and films what is asked for.
+
+    Args:
+      run: runs an episode by its number. again: one that has a row; as all others if not given.
+      title: of progress and films. note: says how far it is.
+      out: see `run_trials`.
+    """
+    filmed = None if out is None or films is None else Films(run, out / FILMS, films, title)
+    make: Callable[..., Any] = run if filmed is None else filmed.run
     if recorder is not None:
-        recorder.complete(rows, run)
-    file.complete(rows, number, make, task, note=note)
+        recorder.complete(rows, again or run)
+        make = partial(recorder.run, run=make)
+    file.complete(rows, number, make, title, note=note)
     if recorder is not None:
         recorder.finish()
     if filmed is not None:
-        filmed.draw(rows)
-    return RobotTrials(task, tuple(rows))
+        filmed.draw(rows, again)
 
 
 def _task_text(task: str, row: EpisodeResult) -> str:
     name = row.object.replace("_", " ")
     return f"lift the {name}" if task == "lift" else f"put the {name} on the table among the others"
-
-
-def _number_of(scenes: Sequence[Scene], index: int) -> int:
-    """The number, in its bank, of the scene of an episode."""
-    origin = scenes[index % len(scenes)].origin
-    return -1 if origin is None else origin.index
 
 
 def _episode(
@@ -249,14 +253,12 @@ def _episode(
     planner: PathPlanner | None,
     robot: RobotDescription,
 ) -> EpisodeResult:
-    target = len(scene.names) - 1
+    found: np.ndarray | CameraPlacer | None = None
+    if task == "place":
+        found = places if isinstance(places, CameraPlacer) else places(index, scene)
     own = episode_seed(seed, index)
-    if task == "lift":
-        return lift_episode(scene, target, grasps, own, trace, planner, robot)
-    if isinstance(places, CameraPlacer):
-        return sensing_place_episode(scene, target, grasps, places, own, trace, planner, robot)
-    row = place_episode(scene, target, grasps, places(index, scene), own, trace, planner, robot)
-    return replace(row, placer=getattr(places, "name", row.placer))
+    row = robot_episode(scene, len(scene.names) - 1, grasps, own, found, trace, planner, robot)
+    return row if found is None else replace(row, placer=getattr(places, "name", row.placer))
 
 
 def episode_seed(seed: int, index: int) -> int:
@@ -272,5 +274,5 @@ def planner_recipe(known: str, planner: PathPlanner | None) -> str:
 @cache
 def planner_hash() -> str:
     """Hex digest of how the arm moves, plans, looks and is judged."""
-    motion = (collision, occupancy_boxes, execute, ik, mover, plan)
+    motion = (collision, execute, ik, mover, plan)
     return constants_hash(cameras, episode, gripper, model, sensing_arm, grips, *motion)

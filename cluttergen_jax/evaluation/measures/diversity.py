@@ -190,7 +190,7 @@ def scene_kernel(
         have similarities of about 0.14.
     """
     bandwidth = independent_distance(region) / 2 if bandwidth is None else bandwidth
-    return np.exp(-np.square(scene_distances(vectors)) / (2 * bandwidth**2))
+    return np.exp(-np.square(cdist(vectors, vectors)) / (2 * bandwidth**2))
 
 
 def vendi_score(kernel: np.ndarray) -> float:
@@ -318,11 +318,6 @@ def moment_root(asset: ObjectAsset) -> np.ndarray:
     inertia = np.asarray(asset.inertia, np.float64)
     values, axes = np.linalg.eigh((np.trace(inertia) / 2 * np.eye(3) - inertia) / asset.mass)
     return (axes * np.sqrt(np.maximum(values, 0.0))) @ axes.T
-
-
-def scene_distances(vectors: np.ndarray, others: np.ndarray | None = None) -> np.ndarray:
-    """f64[N, M]: metres between scenes f[N, D] and f[M, D] from `embed` (None: among the first)."""
-    return cdist(vectors, vectors if others is None else others)
 
 
 def independent_distance(region: Rectangle) -> float:

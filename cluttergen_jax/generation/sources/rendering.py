@@ -20,8 +20,7 @@ from cluttergen_jax.generation.sources import BankSource, FileSource, open_sourc
 from cluttergen_jax.placement.rollout.replay import Replay
 from cluttergen_jax.progress import track
 from cluttergen_jax.rendering.config import QUALITIES, FilmConfig, Quality
-from cluttergen_jax.rendering.density import NUM_PROPOSALS, density_figure
-from cluttergen_jax.rendering.figure import closed_loop_figure
+from cluttergen_jax.rendering.figure import NUM_PROPOSALS, closed_loop_figure, density_figure
 from cluttergen_jax.rendering.film import check_format, replay, replay_frames, save_film, turntable
 from cluttergen_jax.rendering.gl import RendererError, find_backend
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
@@ -31,8 +30,7 @@ from cluttergen_jax.scene.bank.reference import missing_text
 from cluttergen_jax.sensing.camera import REALSENSE_SIZE, Camera, CameraPlan
 from cluttergen_jax.views.bop import BopConfig, BopScenes
 from cluttergen_jax.views.images import camera_json, depth_png, npz_of, segmentation_png
-from cluttergen_jax.views.maker import ViewMaker
-from cluttergen_jax.views.view import SeenScene
+from cluttergen_jax.views.maker import SeenScene, ViewMaker
 
 _DRAWN = frozenset({"picture", "sheet", "turntable", "replay", "figure", "density"})
 """What is made of colours. Depth, labels and masks come from rays, point clouds from surfaces."""

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import msgspec
 
@@ -15,6 +16,7 @@ from cluttergen_jax.learning.networks.config import KIND, NetworkConfig
 from cluttergen_jax.learning.ppo.checkpoint import read_record
 from cluttergen_jax.schema import Record, SchemaError, convert
 
+T = TypeVar("T")
 _HINT = "a policy that `cluttergen train` of this version left"
 
 
@@ -72,16 +74,18 @@ class Checkpoint:
           PoolError: it is of another kind, or the record names sizes that this version does not know.
         """
         if self.kind != KIND:
-            raise PoolError(
-                f"{self.path} holds a network of kind {self.kind!r}, and no policy of poses",
-                hint=_HINT,
-            )
+            given = f"{self.path} holds a network of kind {self.kind!r}, and no policy of poses"
+            raise PoolError(given, hint=_HINT)
+        return self.sizes(NetworkConfig)
+
+    def sizes(self, config: Callable[..., T]) -> T:
+        """The sizes of its network, whichever that is; PoolError where the record names other ones."""
         try:
-            return NetworkConfig(**self.trained.network)
+            return config(**self.trained.network)
         except TypeError as error:
+            place = self.path / "record.json"
             raise PoolError(
-                f"{self.path / 'record.json'} does not say what network it holds ({error})",
-                hint=_HINT,
+                f"{place} does not say what network it holds ({error})", hint=_HINT
             ) from error
 
     @cached_property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cluttergen_jax.assets.pool import embedded_root, user_root
+from cluttergen_jax.assets import embedded_root, user_root
 from cluttergen_jax.errors import PoolError
 
 FOR_ANY_POOL = ("guided",)
@@ -22,11 +22,14 @@ def list_policies() -> dict[str, Path]:
     Those of ablations are not in the package: they lie in a checkout, or were pulled.
     """
     scenes = embedded_root()
-    found: dict[str, Path] = {}
-    for root in (pulled_root(), scenes / "ablations", scenes / "checkpoints"):
-        folders = sorted(root.iterdir()) if root.is_dir() else []
-        found |= {folder.name: folder for folder in folders if (folder / "record.json").is_file()}
+    found = checkpoints_in(pulled_root(), scenes / "ablations", scenes / "checkpoints")
     return dict(sorted(found.items()))
+
+
+def checkpoints_in(*roots: Path) -> dict[str, Path]:
+    """The folders with a checkpoint in these folders, by their own names; of equal names the last one's."""
+    there = [folder for root in roots if root.is_dir() for folder in sorted(root.iterdir())]
+    return {folder.name: folder for folder in there if (folder / "record.json").is_file()}
 
 
 def find_policy(variant: str, pool: str) -> Path:

@@ -7,18 +7,16 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from flax import struct
 
 from cluttergen_jax.errors import ConfigError, range_text
 from cluttergen_jax.learning.agents import Agent, make_agent
 from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, TrainedPlacement
-from cluttergen_jax.learning.ppo.checkpoint import read_policy
+from cluttergen_jax.learning.ppo.checkpoint import blank, read_policy
 from cluttergen_jax.numerics import new_key
+from cluttergen_jax.placement import Episode, Rules
 from cluttergen_jax.placement.observation import Observation, observe
-from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 
 
@@ -91,9 +89,8 @@ def load_policy(checkpoint: Checkpoint, rules: Rules, is_sampled: bool = True) -
     policy = replace(policy, num_attempts=trained.max_attempts)
     # Only shapes are needed: drawing fresh parameters would take longer to compile than acting does.
     seen = jax.eval_shape(lambda: policy.observe(rules.begin(new_key(0))))
-    shapes = jax.eval_shape(policy.agent.init, new_key(0), seen)
-    blank = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
-    return replace(policy, params=read_policy(checkpoint.path, blank))
+    fresh = blank(policy.agent.init, new_key(0), seen)
+    return replace(policy, params=read_policy(checkpoint.path, fresh))
 
 
 def _check_history(trained: TrainedPlacement, rules: Rules) -> None:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import errno
-import hashlib
 import io
-import json
 import os
 import re
 import shutil
 import zipfile
 import zlib
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +19,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.errors import PoolError
 from cluttergen_jax.files import folder_whole, put_back, write_atomically
-from cluttergen_jax.kept_folder import KeptFolder, check_recipe, hold
 from cluttergen_jax.learning.ppo.sharding import with_keys, without_keys
-from cluttergen_jax.schema import Record, SchemaError, checked_record, digest_of, with_checksum
+from cluttergen_jax.schema import Record, SchemaError, checked_record, digest_of, record_bytes
 from cluttergen_jax.types import Array
 
 FORMAT = 1
@@ -37,8 +34,6 @@ _HEADER = 4096
 
 _BESIDE = 1 << 20
 """Bytes for what Orbax stores beside a state's numbers."""
-_OF_A_RUN = (".csv", ".png", ".log", ".txt", ".out")
-"""Endings of files in a run's folder before its state is stored first, what users keep there among them."""
 _SHOWN = 3
 _WEIGHTS = "weights_sha256"
 """In the record of a policy: the checksum of its weights."""
@@ -134,55 +129,6 @@ def read_record(path: Path) -> Record:
     return record
 
 
-def folder_hash(folder: Path, names: Sequence[str] | None = None) -> str:
-    """The digest of a checkpoint's files, or of those of some names."""
-    found = folder.rglob("*") if names is None else (folder / name for name in names)
-    files = sorted(each for each in found if each.is_file())
-    parts = [f"{each.relative_to(folder)}".encode() + each.read_bytes() for each in files]
-    return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()
-
-
-def hold_run(folder: Path, patience: float = 0.0) -> AbstractContextManager[None]:
-    """Holds a run's folder in the block, which is made if need be; what calls `check_folder` is called there.
-
-    Args:
-      patience: seconds to wait for another process.
-
-    Raises:
-      ConfigError: the place holds no run. BankError: another process writes there, or it cannot be written.
-    """
-    return hold(_kept_folder(folder).lock(patience))
-
-
-def _kept_folder(folder: Path) -> KeptFolder:
-    return KeptFolder(
-        folder,
-        lambda _: has_state(folder / "last"),
-        "{other} belongs to no run",
-        _is_of_a_run,
-        ConfigError,
-    )
-
-
-def check_folder(folder: Path, recipe: Record) -> None:
-    """Refuses to continue a run that was made with other settings, and a place that holds no run.
-
-    Raises:
-      ConfigError: there is one, and the message says which settings differ; or there is something else.
-    """
-    last = folder / "last"
-    _kept_folder(folder).check_place()
-    if has_state(last):
-        theirs = read_record(last)
-        known = {name: theirs.get(name) for name in recipe}
-        check_recipe(folder, "a run", recipe, known, error=ConfigError)
-
-
-def _is_of_a_run(path: Path) -> bool:
-    """Whether a run without a state may have left this, or a user beside it."""
-    return not path.is_file() or path.name.startswith(".") or path.suffix in _OF_A_RUN
-
-
 def read_state(path: Path, like: Any) -> Any:
     """The pytree that `save_state` stored; `like` has its structure, shapes and types."""
     with _checkpointer() as checkpointer:
@@ -217,9 +163,7 @@ def save_policy(path: Path, params: Any, record: Record) -> None:
 
 
 def _record_bytes(record: Record) -> bytes:
-    return (
-        json.dumps(with_checksum({"format": FORMAT, **record}, allow_nan=True), indent=1) + "\n"
-    ).encode()
+    return record_bytes({"format": FORMAT, **record}, allow_nan=True)
 
 
 def _in_bytes(array: np.ndarray) -> np.ndarray:
@@ -234,6 +178,12 @@ def _from_bytes(array: np.ndarray) -> np.ndarray:
         return array
     low, high = array.astype(np.uint16)
     return (low | high << 8).view(np.float16)
+
+
+def blank(init: Callable[..., Any], *arguments: Any) -> Any:
+    """Zeros in place of the weights that `init` would make of these arguments."""
+    shapes = jax.eval_shape(init, *arguments)
+    return jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
 
 
 def read_policy(path: Path, like: Any) -> Any:

@@ -110,7 +110,7 @@ def as_seen(params: Params) -> Callable[[Any], Any]:
     return lambda observation: observation
 
 
-class Transition(struct.PyTreeNode):
+class EnvStep(struct.PyTreeNode):
     """One environment step, or many with leading axes."""
 
     observation: Any
@@ -202,10 +202,10 @@ class PPO:
         is_finite = all_finite((batch, last_seen, last_value, losses, params))
         return TrainState(params, optimizer, env, key, state.num_updates + 1), figures, is_finite
 
-    def _roll_out(self, params: Params, env: State, key: Array) -> tuple[State, Transition]:
+    def _roll_out(self, params: Params, env: State, key: Array) -> tuple[State, EnvStep]:
         encode = self.encode(params)
 
-        def step(env: State, key: Array) -> tuple[State, Transition]:
+        def step(env: State, key: Array) -> tuple[State, EnvStep]:
             seen = encode(env.obs)
             dist, value = self.apply(params, seen)
             action = dist.sample(key)
@@ -213,7 +213,7 @@ class PPO:
             reward = self.config.reward_scale * after.reward
             limit = self.config.reward_limit
             reward = reward if limit is None else jnp.clip(reward, -limit, limit)
-            return after, Transition(seen, action, dist.log_prob(action), value, reward, after.done)
+            return after, EnvStep(seen, action, dist.log_prob(action), value, reward, after.done)
 
         return jax.lax.scan(step, env, jax.random.split(key, self.config.num_steps))
 
@@ -244,7 +244,7 @@ class PPO:
         return jax.lax.scan(epoch, (params, optimizer), jax.random.split(key, config.num_epochs))
 
     def _loss(
-        self, params: Params, batch: Transition, advantage: Array, target: Array
+        self, params: Params, batch: EnvStep, advantage: Array, target: Array
     ) -> tuple[Array, dict[str, Array]]:
         """The paper's loss, c1 L_VF - c2 H - L_CLIP, on one minibatch."""
         config = self.config

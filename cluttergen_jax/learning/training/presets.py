@@ -11,7 +11,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.ppo.checkpoint import read_record
 from cluttergen_jax.learning.ppo.ppo import PPOConfig
-from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement import PlacementConfig
 
 
 @dataclass(frozen=True)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from functools import partial
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,33 +14,29 @@ import numpy as np
 import optax
 from flax import struct
 
+from cluttergen_jax.assets import join_meshes
 from cluttergen_jax.assets.cloud import farthest_first, sample_surface
-from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.assets.modeller.catalog import FAMILIES, make_shape
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.networks.actor_critic import PointNet
 from cluttergen_jax.learning.networks.cloud_encoder import CloudNet, first_centroids
 from cluttergen_jax.learning.networks.config import NetworkConfig
-from cluttergen_jax.learning.ppo import checkpoint
-from cluttergen_jax.learning.training.interrupt import Interrupt
+from cluttergen_jax.learning.ppo.checkpoint import read_record, save_policy
+from cluttergen_jax.learning.training.run_folder import (
+    RunFolder,
+    batch_of,
+    hold_run,
+)
 from cluttergen_jax.numerics import new_key
-from cluttergen_jax.progress import Progress, track
+from cluttergen_jax.progress import track
 from cluttergen_jax.types import Array
 
-
-@dataclass(frozen=True)
-class AugmentConfig:
-    """How clouds are varied while learning. Every one is turned about z by any angle.
-
-    Attributes:
-      scale: each axis is stretched by 1 - scale to 1 + scale.
-      jitter: standard deviation of what is added to each coordinate, in units of the object's radius.
-      hole: a ball of up to this radius, in units of the object's, is cut out around one of the points.
-    """
-
-    scale: float = 0.15
-    jitter: float = 0.01
-    hole: float = 0.4
+_STRETCH = 0.15
+"""Each axis of a cloud that is learned from is stretched by 1 - this to 1 + this."""
+_JITTER = 0.01
+"""Standard deviation of what is added to each coordinate, in units of the object's radius."""
+_HOLE = 0.4
+"""A ball of up to this radius, in units of the object's, is cut out around one of the points."""
 
 
 class Classifier(nn.Module):
@@ -72,7 +66,7 @@ class Classifier(nn.Module):
         return nn.Dense(self.num_classes)(nn.relu(nn.Dense(256)(features)))
 
 
-class FitState(struct.PyTreeNode):
+class ClassifierState(struct.PyTreeNode):
     """What a step changes: weights, Adam's moments, steps done."""
 
     params: Any
@@ -88,35 +82,32 @@ class ClassifierTrainer:
       model: the classifier.
       num_steps: of the whole run; the rate falls to zero over them.
       learning_rate: of Adam, at first.
-      augment: how clouds are varied.
     """
 
     model: Classifier
     num_steps: int
     learning_rate: float = 1e-3
-    augment: AugmentConfig = field(default_factory=AugmentConfig)
 
     def _optimizer(self) -> optax.GradientTransformation:
         rate = optax.cosine_decay_schedule(self.learning_rate, self.num_steps)
         return optax.chain(optax.clip_by_global_norm(1.0), optax.adamw(rate, weight_decay=1e-4))
 
-    def start(self, key: Array, num_points: int) -> FitState:
+    def start(self, key: Array, num_points: int) -> ClassifierState:
         """Fresh weights for clouds of `num_points`."""
         params = self.model.init(key, jnp.zeros((num_points, 3)), jnp.ones(num_points, bool))[
             "params"
         ]
-        return FitState(params, self._optimizer().init(params), jnp.int32(0))
+        return ClassifierState(params, self._optimizer().init(params), jnp.int32(0))
 
     def logits(self, params: Any, cloud: Array, mask: Array) -> Array:
         """f32[B, C] of clouds f32[B, P, 3] and masks bool[B, P]."""
         return jax.vmap(lambda *each: self.model.apply({"params": params}, *each))(cloud, mask)
 
     def step(
-        self, state: FitState, cloud: Array, label: Array, key: Array
-    ) -> tuple[FitState, Array, Array]:
+        self, state: ClassifierState, cloud: Array, label: Array, key: Array
+    ) -> tuple[ClassifierState, Array, Array]:
         """One gradient step on clouds f32[B, P, 3] with labels i32[B]: the new state, loss and accuracy."""
-        vary = jax.vmap(lambda cloud, key: augment(cloud, key, self.augment))
-        cloud, mask = vary(cloud, jax.random.split(key, len(cloud)))
+        cloud, mask = jax.vmap(augment)(cloud, jax.random.split(key, len(cloud)))
 
         def loss_of(params: Any) -> tuple[Array, Array]:
             logits = self.logits(params, cloud, mask)
@@ -126,21 +117,19 @@ class ClassifierTrainer:
         (loss, accuracy), gradient = jax.value_and_grad(loss_of, has_aux=True)(state.params)
         change, optimizer = self._optimizer().update(gradient, state.optimizer, state.params)
         params = optax.apply_updates(state.params, change)
-        return FitState(params, optimizer, state.step + 1), loss, accuracy
+        return ClassifierState(params, optimizer, state.step + 1), loss, accuracy
 
 
-def augment(cloud: Array, key: Array, config: AugmentConfig) -> tuple[Array, Array]:
-    """A cloud f32[P, 3] varied, and bool[P]: the points that are left of it."""
+def augment(cloud: Array, key: Array) -> tuple[Array, Array]:
+    """A cloud f32[P, 3] varied and turned about z, and bool[P]: the points that are left of it."""
     key_scale, key_turn, key_jitter, key_where, key_hole = jax.random.split(key, 5)
-    cloud = cloud * jax.random.uniform(
-        key_scale, (3,), minval=1 - config.scale, maxval=1 + config.scale
-    )
+    cloud = cloud * jax.random.uniform(key_scale, (3,), minval=1 - _STRETCH, maxval=1 + _STRETCH)
     cloud = rotate_about_z(cloud, jax.random.uniform(key_turn, maxval=2 * jnp.pi))
     radius = jnp.max(jnp.linalg.norm(cloud, axis=-1))
     centre = cloud[jax.random.randint(key_where, (), 0, len(cloud))]
-    hole = radius * jax.random.uniform(key_hole, maxval=config.hole)
+    hole = radius * jax.random.uniform(key_hole, maxval=_HOLE)
     mask = jnp.linalg.norm(cloud - centre, axis=-1) >= hole
-    cloud = cloud + radius * config.jitter * jax.random.normal(key_jitter, cloud.shape)
+    cloud = cloud + radius * _JITTER * jax.random.normal(key_jitter, cloud.shape)
     # A small thing may lie in the ball whole.
     return cloud, mask | ~jnp.any(mask)
 
@@ -200,7 +189,6 @@ class PretrainConfig:
       num_shapes, num_held_out: objects of each family to learn from and to test with; none is in both.
       num_epochs, batch_size, learning_rate: of the optimisation.
       seed: of shapes, weights and their order.
-      save_every: seconds between checkpoints.
     """
 
     network: NetworkConfig
@@ -211,7 +199,6 @@ class PretrainConfig:
     batch_size: int = 32
     learning_rate: float = 1e-3
     seed: int = 0
-    save_every: float = 60.0
 
     def __post_init__(self) -> None:
         for name in ("num_shapes", "num_held_out", "num_epochs", "batch_size", "learning_rate"):
@@ -262,7 +249,7 @@ class Pretraining:
         self.folder = folder
         model = Classifier(config.network, len(config.families))
         self.fit = ClassifierTrainer(model, config.num_steps, config.learning_rate)
-        checkpoint.check_folder(folder, {"config": asdict(config)})
+        self._run = RunFolder(folder, {"config": asdict(config)})
         folder.mkdir(parents=True, exist_ok=True)
 
     def run(self) -> float:
@@ -273,12 +260,10 @@ class Pretraining:
         """
         config = self.config
         points = self.config.network.object_points
-        with Interrupt() as interrupt:
-            state = self._start()
-            if int(state.step) < config.num_steps:
-                shapes = make_clouds(config.families, _seeds(config, False), points, "shapes")
-                state = self._learn(state, shapes, interrupt)
-                checkpoint.save_state(self.folder / "last", state, {"config": asdict(config)})
+        state = self._start()
+        if int(state.step) < config.num_steps:
+            shapes = make_clouds(config.families, _seeds(config, False), points, "shapes")
+            state = self._learn(state, shapes)
         if int(state.step) < config.num_steps:
             self._save(state, None)
             raise KeyboardInterrupt
@@ -286,42 +271,26 @@ class Pretraining:
         self._save(state, accuracy)
         return accuracy
 
-    def _start(self) -> FitState:
+    def _start(self) -> ClassifierState:
         points = self.config.network.object_points
         start = jax.jit(self.fit.start, static_argnums=1)
-        state = start(new_key(self.config.seed), points)
-        last = self.folder / "last"
-        return checkpoint.read_state(last, state) if checkpoint.has_state(last) else state
-
-    def _learn(self, state: FitState, shapes: ShapeClouds, interrupt: Interrupt) -> FitState:
-        config = self.config
-        step = jax.jit(self.fit.step, donate_argnums=0)
-        first = int(state.step)
-        saved = time.monotonic()
-        with Progress("learning", config.num_steps, "step", kept=first) as progress:
-            for number in range(first, config.num_steps):
-                if interrupt.is_asked:
-                    break
-                index = self._batch(number)
-                key = jax.random.fold_in(new_key(config.seed + 1), number)
-                call = partial(interrupt.run_compiling, step) if number == first else step
-                state, loss, accuracy = call(state, shapes.cloud[index], shapes.label[index], key)
-                progress.update(note=f"loss {float(loss):.3f} accuracy {float(accuracy):.2f}")
-                if time.monotonic() - saved > config.save_every:
-                    checkpoint.save_state(self.folder / "last", state, {"config": asdict(config)})
-                    saved = time.monotonic()
+        state: ClassifierState = self._run.load(start(new_key(self.config.seed), points))
         return state
 
-    def _batch(self, number: int) -> np.ndarray:
-        """The shapes of step `number`: each epoch has an order of its own."""
+    def _learn(self, state: ClassifierState, shapes: ShapeClouds) -> ClassifierState:
         config = self.config
-        epoch, position = divmod(number, config.batches)
-        order = np.random.default_rng([config.seed, epoch]).permutation(
-            config.num_shapes * len(config.families)
-        )
-        return order[position * config.batch_size : (position + 1) * config.batch_size]
+        compiled = jax.jit(self.fit.step, donate_argnums=0)
 
-    def _accuracy(self, state: FitState) -> float:
+        def step(number: int, state: ClassifierState) -> tuple[ClassifierState, str]:
+            index = batch_of(number, config.batch_size, len(shapes.label), config.seed)
+            key = jax.random.fold_in(new_key(config.seed + 1), number)
+            clouds = shapes.cloud[index]
+            state, loss, accuracy = compiled(state, clouds, shapes.label[index], key)
+            return state, f"loss {float(loss):.3f} accuracy {float(accuracy):.2f}"
+
+        return self._run.learn(state, config.num_steps, step)
+
+    def _accuracy(self, state: ClassifierState) -> float:
         """The share of shapes never learned from that are recognised, each turned about z at random."""
         config = self.config
         shapes = make_clouds(
@@ -341,7 +310,7 @@ class Pretraining:
             right += int((found == shapes.label[index])[:number].sum())
         return right / len(cloud)
 
-    def _save(self, state: FitState, accuracy: float | None) -> None:
+    def _save(self, state: ClassifierState, accuracy: float | None) -> None:
         network = self.config.network
         record = {
             "encoder": network.scene_encoder,
@@ -351,7 +320,7 @@ class Pretraining:
             "steps": int(state.step),
             "config": asdict(self.config),
         }
-        checkpoint.save_policy(self.folder, jax.device_get(state.params["encoder"]), record)
+        save_policy(self.folder, jax.device_get(state.params["encoder"]), record)
 
 
 def _seeds(config: PretrainConfig, is_held_out: bool) -> list[int]:
@@ -379,7 +348,7 @@ def pretrain_for(network: NetworkConfig, folder: Path, show: Callable[[str], Non
     sizes = ("object_points", "num_centroids", "group_size", "object_features", "scene_features")
     values = {name: getattr(network, name) for name in sizes}
     # Several processes that train one policy together come here at once: one of them pretrains.
-    with checkpoint.hold_run(folder, _LONGEST_RUN if jax.process_count() > 1 else 0.0):
+    with hold_run(folder, _LONGEST_RUN if jax.process_count() > 1 else 0.0):
         if not is_pretrained(folder):
             Pretraining(
                 PretrainConfig(replace(small(network.scene_encoder), **values)), folder
@@ -389,7 +358,7 @@ def pretrain_for(network: NetworkConfig, folder: Path, show: Callable[[str], Non
 def is_pretrained(folder: Path) -> bool:
     """Whether a folder holds the weights of a whole pretraining."""
     record = folder / "record.json"
-    return record.exists() and checkpoint.read_record(folder).get("held_out_accuracy") is not None
+    return record.exists() and read_record(folder).get("held_out_accuracy") is not None
 
 
 def small(encoder: str) -> NetworkConfig:

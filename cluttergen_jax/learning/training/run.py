@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -11,37 +12,163 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from flax import struct
 
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.errors import ClutterGenError, ConfigError
 from cluttergen_jax.learning.agents import ENCODER, make_agent
-from cluttergen_jax.learning.networks.config import KIND, NetworkConfig
+from cluttergen_jax.learning.networks.config import NetworkConfig
 from cluttergen_jax.learning.policies.policy import TrainedPolicy, make_policy
-from cluttergen_jax.learning.ppo.checkpoint import has_state, read_policy, read_state
+from cluttergen_jax.learning.ppo.checkpoint import read_policy
 from cluttergen_jax.learning.ppo.ppo import PPO, PPOConfig, TrainState
-from cluttergen_jax.learning.ppo.sharding import make_mesh
-from cluttergen_jax.learning.training import distributed
-from cluttergen_jax.learning.training.interrupt import Interrupt
+from cluttergen_jax.learning.ppo.sharding import (
+    agree,
+    broadcast,
+    gather,
+    is_writer,
+    make_mesh,
+    state_sharding,
+    whole_sharding,
+    with_keys,
+    without_keys,
+)
+from cluttergen_jax.learning.training.run_folder import SAVE_EVERY, Interrupt, RunFolder
 from cluttergen_jax.learning.training.run_logger import (
     Evaluate,
     Evaluation,
+    Figures,
     Logger,
     NullLogger,
     RunConfig,
     RunLogger,
     SuccessRate,
 )
-from cluttergen_jax.learning.training.updates import Updates, num_updates
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.physics import make_physics
+from cluttergen_jax.placement import Problem, Proposer, Rules
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.methods.table import make_proposer
-from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, Rollout
-from cluttergen_jax.placement.rules import Proposer, Rules
-from cluttergen_jax.schema import Record
 from cluttergen_jax.statistics import wilson
+from cluttergen_jax.types import Array
+
+_PACKAGE = str(Path(__file__).parents[2])
+
+
+class Carry(struct.PyTreeNode):
+    """What a compiled call carries from update to update.
+
+    Attributes:
+      state: the learner's.
+      figures: of each update, with a leading axis; rows from `num_done` on are zero.
+      is_finite: bool, whether all numbers of the latest update were.
+      num_done: i32, updates made by this call.
+    """
+
+    state: TrainState
+    figures: dict[str, Array]
+    is_finite: Array
+    num_done: Array
+
+
+class Updates:
+    """Compiled updates of one learner.
+
+    Args:
+      ppo: the learner.
+      state: any of its states, for shapes and shardings.
+      most: updates per call at most.
+
+    Attributes:
+      compiled: the program.
+    """
+
+    def __init__(self, ppo: PPO, state: TrainState, most: int) -> None:
+        self._ppo = ppo
+        self.most = most
+        # The state given is not donated, so that the last good one outlives a call that ends in NaN; within
+        # a call the loop writes over what it carries, and a state is small beside what an update makes.
+        self.compiled = _jit(ppo, state, most).lower(state, np.int32(1)).compile()
+
+    def __call__(self, state: TrainState, num: int) -> tuple[TrainState, list[Figures], bool]:
+        """`num` updates, or fewer if numbers of one of them were not finite: it is then the last.
+
+        Returns:
+          The new state, the figures of each update made, and whether all numbers of the last one were finite.
+        """
+        if not 1 <= num <= self.most:
+            raise ValueError(f"{num} updates asked for, 1 to {self.most} can be made")
+        done = self.compiled(state, np.int32(num))
+        figures, is_finite, num_done = jax.device_get((done.figures, done.is_finite, done.num_done))
+        rows = [
+            {name: values[row] for name, values in figures.items()} for row in range(int(num_done))
+        ]
+        return done.state, rows, bool(is_finite)
+
+    def where_not_finite(self, state: TrainState, num: int) -> str:
+        """The line of this package at which update number `num` from `state` makes its first NaN.
+
+        The update is made once more under `jax_debug_nans`; "" if no NaN is seen there, as with infinities.
+        """
+        if jax.process_count() > 1:
+            return ""
+        before = self(state, num - 1)[0] if num > 1 else state
+        try:
+            with jax.debug_nans(True):
+                jax.block_until_ready(jax.jit(self._ppo.update)(before))
+        except FloatingPointError as error:
+            frames = traceback.extract_tb(error.__traceback__)
+            own = [frame for frame in frames if frame.filename.startswith(_PACKAGE)][-1]
+            return f"{own.name} ({Path(own.filename).relative_to(_PACKAGE)}:{own.lineno})"
+        return ""
+
+
+def _many(ppo: PPO, most: int) -> Callable[[TrainState, Array], Carry]:
+    update = jax.jit(ppo.checked_update)
+
+    def many(state: TrainState, num: Array) -> Carry:
+        _, figures, _ = jax.eval_shape(update, state)
+        blank = jax.tree.map(lambda one: jnp.zeros((most, *one.shape), one.dtype), figures)
+
+        def one_more(carry: Carry) -> Carry:
+            state, figures, is_finite = update(carry.state)
+            row = carry.num_done
+            kept = jax.tree.map(lambda rows, now: rows.at[row].set(now), carry.figures, figures)
+            return Carry(state, kept, is_finite, row + 1)
+
+        start = Carry(state, blank, jnp.bool_(True), jnp.int32(0))
+        return jax.lax.while_loop(
+            lambda carry: (carry.num_done < num) & carry.is_finite, one_more, start
+        )
+
+    return many
+
+
+def _jit(ppo: PPO, state: TrainState, most: int) -> Any:
+    """The program, its arguments and results divided among the devices if there are several."""
+    many = _many(ppo, most)
+    if ppo.mesh is None:
+        return jax.jit(many)
+    of_state = state_sharding(ppo.mesh, state)
+    whole = whole_sharding(ppo.mesh)
+    results = Carry(of_state, whole, whole, whole)  # type: ignore[arg-type]
+    return jax.jit(many, in_shardings=(of_state, whole), out_shardings=results)
+
+
+def num_updates(seconds: float | None, most: int, longest: float) -> int:
+    """Updates for the next call, at least one.
+
+    Args:
+      seconds: what an update took lately; None if that is not known.
+      most: updates at most.
+      longest: seconds that a call may take.
+    """
+    if seconds is None:
+        return 1
+    return max(1, min(most, int(longest / max(seconds, 1e-9))))
+
 
 _SET_ENCODER = "PointNet_0"
 
@@ -60,8 +187,7 @@ class Run:
       network: the network's sizes.
       ppo: the numbers.
       config: how it is watched over.
-      folder: continued if it holds a run.
-      recipe: JSON values stored in every checkpoint.
+      folder: with the recipe that every checkpoint has.
       evaluate: says how good weights are; None leaves evaluations out.
       encoder_weights: folder of pretrained weights that the point encoders begin with.
       random: says how good `random` is in the same world, for the end of the run; None leaves it out.
@@ -73,34 +199,31 @@ class Run:
         network: NetworkConfig,
         ppo: PPOConfig,
         config: RunConfig,
-        folder: Path,
-        recipe: Record,
+        folder: RunFolder,
         evaluate: Evaluate | None = None,
         encoder_weights: Path | None = None,
         random: Callable[[], SuccessRate] | None = None,
     ) -> None:
         self.config = config
         self.folder = folder
-        self.recipe = recipe | {"kind": KIND}
         self.agent = make_agent(rules, network)
         env = PlacementEnv(rules, self.agent.observation)
         self.ppo = PPO(env, self.agent.apply, ppo, make_mesh(ppo.num_envs), self.agent.encode)
         self._encoder_weights = encoder_weights
         self._evaluate = evaluate
         self._random = random
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.path.mkdir(parents=True, exist_ok=True)
 
     def start(self) -> TrainState:
         """The state to go on from: the last checkpoint's, or a fresh one."""
         key_init, key_run = jax.random.split(new_key(self.config.seed))
-        fresh = distributed.fresh_state(self.ppo, key_run, self._init(key_init))
-        last = self.folder / "last"
-        if not distributed.agree(has_state(last))[0, 0]:
+        fresh = fresh_state(self.ppo, key_run, self._init(key_init))
+        if not agree(self.folder.is_begun)[0, 0]:
             return fresh
-        whole = distributed.gather(fresh)
-        return distributed.put_state(
+        whole = gather(fresh)
+        return put_state(
             self.ppo,
-            distributed.broadcast(read_state(last, whole) if distributed.is_writer() else whole),
+            broadcast(self.folder.load(whole) if is_writer() else whole),
         )
 
     def _init(self, key: Any) -> Any:
@@ -124,7 +247,7 @@ class Run:
         try:
             with interrupt or Interrupt() as interrupt:
                 state = self._work(state, logger, interrupt)
-            if distributed.agree(interrupt.is_asked).any():
+            if agree(interrupt.is_asked).any():
                 logger.say(f"stopped at update {int(state.num_updates)}; everything is saved")
                 raise KeyboardInterrupt
             self._finish(state, logger)
@@ -133,9 +256,9 @@ class Run:
         return state
 
     def _logger(self, first: int, show: Callable[[str], None]) -> Logger:
-        if not distributed.is_writer():
+        if not is_writer():
             return NullLogger()
-        return RunLogger(self.folder, self.recipe, self.config, self.ppo.config, first, show)
+        return RunLogger(self.folder, self.config, self.ppo.config, first, show)
 
     def _work(self, state: TrainState, logger: Logger, interrupt: Interrupt) -> TrainState:
         """Updates to the end, or until an interrupt asks for it; the latest state, which is saved."""
@@ -153,12 +276,12 @@ class Run:
         logger.begin()
         while number < total:
             wanted = num_updates(seconds, self._until_mark(number), config.longest_call)
-            is_due = time.monotonic() - saved > config.save_every
-            asked = distributed.agree(wanted, interrupt.is_asked, is_due)
+            is_due = time.monotonic() - saved > SAVE_EVERY
+            asked = agree(wanted, interrupt.is_asked, is_due)
             if asked[:, 1].any():
                 break
             if asked[0, 2]:
-                logger.save_state(distributed.gather(state))
+                logger.save_state(gather(state))
                 saved = time.monotonic()
             started = time.monotonic()
             after, rows, is_finite = updates(state, int(asked[0, 0]))
@@ -171,7 +294,7 @@ class Run:
             state = after
             number = number + len(rows)
             self._mark(logger, state, number)
-        logger.save_state(distributed.gather(state))
+        logger.save_state(gather(state))
         logger.save_policy(state)
         return state
 
@@ -204,7 +327,7 @@ class Run:
         if self._evaluate is None:
             return
         asked = getattr(self._evaluate, "num_episodes", 1)
-        if distributed.agree(logger.num_evaluated >= asked)[0, 0]:
+        if agree(logger.num_evaluated >= asked)[0, 0]:
             return
         logger.say(
             "evaluating"
@@ -221,13 +344,38 @@ class Run:
         self, logger: Logger, state: TrainState, number: int, where: str
     ) -> DivergedError:
         """Saves the state before the call in which numbers stopped being finite; the error to raise."""
-        logger.save_state(distributed.gather(state))
+        logger.save_state(gather(state))
         logger.save_policy(state)
         return DivergedError(
             f"update {number}: numbers are not finite" + (f", first in {where}" if where else ""),
             hint=f"a smaller learning rate with another `out`; the last good state, after "
-            f"{int(state.num_updates)} updates, is in {self.folder / 'last'}",
+            f"{int(state.num_updates)} updates, is in {self.folder.path / 'last'}",
         )
+
+
+def fresh_state(ppo: PPO, key: Any, params: Any) -> TrainState:
+    """`ppo.start`, compiled, each environment made where it belongs."""
+    if ppo.mesh is None:
+        return jax.jit(ppo.start)(key, params)
+    data = np.asarray(jax.random.key_data(key))
+    params = jax.device_get(params)
+    implementation = jax.random.key_impl(key)
+
+    def start(data: Any, params: Any) -> TrainState:
+        return ppo.start(jax.random.wrap_key_data(data, impl=implementation), params)
+
+    sharding = state_sharding(ppo.mesh, jax.eval_shape(start, data, params))
+    return jax.jit(start, out_shardings=sharding)(data, params)
+
+
+def put_state(ppo: PPO, state: TrainState) -> TrainState:
+    """A state that every process holds whole, put where it belongs."""
+    if ppo.mesh is None:
+        return state
+    data = jax.tree.map(np.asarray, without_keys(state))
+    return jax.jit(
+        lambda data: with_keys(data, state), out_shardings=state_sharding(ppo.mesh, state)
+    )(data)
 
 
 def with_encoder(params: Any, folder: Path) -> Any:

@@ -1,23 +1,204 @@
-"""Loggers of a run: metrics, checkpoints, evaluations, the curve, a progress bar."""
+"""Logs of a run: metrics as CSV, TensorBoard and Weights & Biases, checkpoints, evaluations, the curve."""
 
 from __future__ import annotations
 
+import csv
+import hashlib
+import io
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, Protocol, TypedDict
 
 import jax
 import numpy as np
 from tqdm import tqdm
 
-from cluttergen_jax.learning.ppo.checkpoint import read_record, save_policy, save_state
+from cluttergen_jax.errors import MissingExtraError
+from cluttergen_jax.files import write_atomically
+from cluttergen_jax.learning.ppo.checkpoint import save_policy
 from cluttergen_jax.learning.ppo.ppo import PPOConfig, TrainState
-from cluttergen_jax.learning.training import metrics_log
-from cluttergen_jax.learning.training.updates import Figures
+from cluttergen_jax.learning.training.run_folder import RunFolder
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.schema import Record
+
+Figures = dict[str, np.ndarray]
+"""Of one update, by name."""
+Row = dict[str, float]
+
+
+class Sink(Protocol):
+    """Something that follows a run's figures from outside, such as TensorBoard."""
+
+    def add(self, row: Row, group: str) -> None:
+        """One row; `group` is "" for training's figures, or a prefix such as "evaluation/"."""
+        ...
+
+    def close(self) -> None:
+        """All rows have been given."""
+        ...
+
+
+class MetricsLog:
+    """Appends rows to a CSV file; a run that is taken up again continues it.
+
+    Args:
+      path: the file.
+      first_update: rows from this update on are dropped: they are about to be made again.
+      sinks: are given every new row too.
+      group: the rows' prefix there.
+    """
+
+    def __init__(
+        self, path: Path, first_update: int = 0, sinks: Sequence[Sink] = (), group: str = ""
+    ) -> None:
+        self.path = path
+        self._sinks = sinks
+        self._group = group
+        self.rows = [row for row in read_rows(path) if row["update"] < first_update]
+        if self.rows or path.exists():
+            self._rewrite()
+
+    def add(self, row: Row) -> None:
+        """Stores the figures of one update."""
+        self.rows.append(row)
+        if len(self.rows) == 1:
+            self._rewrite()
+        else:
+            with self.path.open("a", newline="") as file:
+                csv.DictWriter(file, fieldnames=list(self.rows[0])).writerow(row)
+        for sink in self._sinks:
+            sink.add(row, self._group)
+
+    def _rewrite(self) -> None:
+        text = io.StringIO()
+        if self.rows:
+            writer = csv.DictWriter(text, fieldnames=list(self.rows[0]))
+            writer.writeheader()
+            writer.writerows(self.rows)
+        write_atomically(self.path, text.getvalue().encode())
+
+
+class TensorBoard:
+    """A `Sink` that writes TensorBoard's event files."""
+
+    def __init__(self, folder: Path) -> None:
+        from tensorboardX import SummaryWriter
+
+        self._writer = SummaryWriter(str(folder / "tensorboard"))
+
+    def add(self, row: Row, group: str) -> None:
+        """See `Sink.add`."""
+        for name, value in row.items():
+            self._writer.add_scalar(group + name, value, int(row["attempts"]))
+
+    def close(self) -> None:
+        """See `Sink.close`."""
+        self._writer.close()
+
+
+def read_rows(path: Path) -> list[Row]:
+    """The rows of a file of `MetricsLog`; none if there is no such file.
+
+    A last row that was cut short, as by a full disk, is left out.
+    """
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        found = [_numbers(row) for row in csv.DictReader(file)]
+    return [row for row in found if row is not None]
+
+
+def _numbers(row: Mapping[str, str]) -> Row | None:
+    try:
+        return {name: float(value) for name, value in row.items()}
+    except (TypeError, ValueError):
+        return None
+
+
+PANELS = (("success", "success"), ("num_placed", "objects placed"), ("entropy", "entropy (nats)"))
+
+
+def draw_curve(rows: list[Row], path: Path, title: str, evaluations: Sequence[Row] = ()) -> None:
+    """Success, objects placed and entropy against attempts, as a PNG; evaluated success as points."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    attempts = [row["attempts"] / 1000 for row in rows]
+    figure = Figure(figsize=(8, 3.2), layout="constrained")
+    axes = figure.subplots(1, 3)
+    for axis, (name, label) in zip(axes, PANELS, strict=True):
+        # A single row makes no line.
+        marker = "." if len(rows) == 1 else ""
+        axis.plot(
+            attempts, [row[name] for row in rows], marker=marker, linewidth=1.2, label="training"
+        )
+        axis.set_xlabel("attempts (thousands)")
+        axis.set_title(label, fontsize=10)
+        axis.grid(alpha=0.3)
+    if evaluations:
+        _draw_evaluations(axes[0], evaluations)
+    # Room for a line at 0 or 1, which the frame would hide.
+    axes[0].set_ylim(-0.03, 1.03)
+    figure.suptitle(title, fontsize=10)
+    FigureCanvasAgg(figure)
+    picture = io.BytesIO()
+    figure.savefig(picture, dpi=120)
+    write_atomically(path, picture.getvalue())
+
+
+def _draw_evaluations(axis: Any, evaluations: Sequence[Row]) -> None:
+    """The rate of whole last checks with its 95 % interval."""
+    success = [row["success"] for row in evaluations]
+    below = [row["success"] - row["low95"] for row in evaluations]
+    above = [row["high95"] - row["success"] for row in evaluations]
+    attempts = [row["attempts"] / 1000 for row in evaluations]
+    style = {"fmt": "o", "markersize": 3, "linewidth": 1, "color": "black"}
+    axis.errorbar(attempts, success, yerr=[below, above], label="evaluation", **style)
+    axis.legend(fontsize=8, loc="lower right")
+
+
+PROJECT = "cluttergen"
+
+
+class WandbLog:
+    """A `Sink` that sends every row to Weights & Biases.
+
+    A run that is taken up again goes on where it was: its id is made from its folder.
+
+    Args:
+      folder: of the run; its name is the run's.
+      recipe: JSON values that describe the run.
+
+    Raises:
+      MissingExtraError: wandb is not installed.
+    """
+
+    def __init__(self, folder: Path, recipe: Record) -> None:
+        try:
+            import wandb
+        except ImportError as error:
+            raise MissingExtraError("wandb", "`wandb`") from error
+        identity = hashlib.sha256(str(folder.resolve()).encode()).hexdigest()[:16]
+        self._run = wandb.init(
+            project=PROJECT,
+            name=folder.name,
+            id=identity,
+            resume="allow",
+            dir=str(folder),
+            config=recipe,
+        )
+
+    def add(self, row: Row, group: str) -> None:
+        """See `Sink.add`; the step is the number of attempts."""
+        self._run.log(
+            {group + name: value for name, value in row.items()}, step=int(row["attempts"])
+        )
+
+    def close(self) -> None:
+        """See `Sink.close`."""
+        self._run.finish()
 
 
 class SuccessRate(TypedDict):
@@ -59,7 +240,6 @@ class RunConfig:
 
     Attributes:
       seed: of weights, episodes and actions.
-      save_every: seconds between checkpoints.
       window: updates over which the success that decides on "best" is averaged; also the most updates that
         are made in one compiled call.
       longest_call: seconds that such a call may take, if it makes more than one update.
@@ -69,7 +249,6 @@ class RunConfig:
     """
 
     seed: int = 0
-    save_every: float = 60.0
     window: int = 10
     longest_call: float = 4.0
     eval_every: int = 0
@@ -81,8 +260,7 @@ class RunLogger:
     """Writes files into the run's folder and shows a progress bar.
 
     Args:
-      folder: of the run.
-      recipe: JSON values stored in every checkpoint.
+      kept: the run's folder, and the recipe that is stored in every checkpoint.
       config: how the run is watched over; ppo: the numbers.
       first: the first update to come; what the folder says of later ones is dropped.
       show: for lines that stay.
@@ -90,34 +268,29 @@ class RunLogger:
 
     def __init__(
         self,
-        folder: Path,
-        recipe: Record,
+        kept: RunFolder,
         config: RunConfig,
         ppo: PPOConfig,
         first: int,
         show: Callable[[str], None],
     ) -> None:
+        folder = kept.path
+        self._kept = kept
         self._folder = folder
-        self._recipe = recipe
         self._show = show
         self._batch = ppo.batch_size
         self._window = config.window
         self._total = ppo.num_updates * ppo.batch_size
         self._first = first * ppo.batch_size
         self._progress: Progress | None = None
-        self._sinks: list[metrics_log.Sink] = [metrics_log.TensorBoard(folder)]
+        self._sinks: list[Sink] = [TensorBoard(folder)]
         if config.wandb:
-            self._sinks.append(metrics_log.WandbLog(folder, recipe))
-        self._updates = metrics_log.MetricsLog(folder / "progress.csv", first, self._sinks)
+            self._sinks.append(WandbLog(folder, kept.recipe))
+        self._updates = MetricsLog(folder / "progress.csv", first, self._sinks)
         # An evaluation is of the weights after so many updates; that of the present ones stays.
         evaluations = folder / "evaluations.csv"
-        self._evaluations = metrics_log.MetricsLog(
-            evaluations, first + 1, self._sinks, group="evaluation/"
-        )
-        best = folder / "best"
-        self._best = (
-            float(read_record(best)["success"]) if (best / "record.json").exists() else -1.0
-        )
+        self._evaluations = MetricsLog(evaluations, first + 1, self._sinks, group="evaluation/")
+        self._best = float(kept.record("best").get("success", -1.0))
 
     def begin(self) -> None:
         """Updates begin now: what came before was compilation."""
@@ -147,8 +320,7 @@ class RunLogger:
 
     def save_state(self, state: TrainState) -> None:
         """Stores what the run goes on from."""
-        record = self._recipe | {"num_updates": int(state.num_updates)}
-        save_state(self._folder / "last", state, record)
+        self._kept.save(state, num_updates=int(state.num_updates))
 
     def save_policy(self, state: TrainState, evaluation: Evaluation | None = None) -> None:
         """Stores the weights, what is known of how good they are, and the curve so far."""
@@ -156,25 +328,18 @@ class RunLogger:
         if not rows:
             return
         known = {"evaluation": self._beside(evaluation)} if evaluation else {}
-        metrics_log.draw_curve(
-            rows, self._folder / "curve.png", self._folder.name, self._evaluations.rows
-        )
+        draw_curve(rows, self._folder / "curve.png", self._folder.name, self._evaluations.rows)
         # Last: by the policy's record a run is known to be done.
         self._save("policy", state, {"success": rows[-1]["success"], **known})
 
     @property
     def num_evaluated(self) -> int:
         """Episodes of the stored policy's evaluation; 0 without one."""
-        return int(self._policy_record.get("evaluation", {}).get("episodes", 0))
-
-    @property
-    def _policy_record(self) -> dict[str, Any]:
-        policy = self._folder / "policy"
-        return read_record(policy) if (policy / "record.json").exists() else {}
+        return int(self._kept.record("policy").get("evaluation", {}).get("episodes", 0))
 
     def complete_policy(self, state: TrainState) -> None:
         """Stores the weights of a whole run whose process ended before it did."""
-        if self._policy_record.get("attempts") != int(state.num_updates) * self._batch:
+        if self._kept.record("policy").get("attempts") != int(state.num_updates) * self._batch:
             self.save_policy(state)
 
     def add_evaluation(self, state: TrainState, evaluation: Evaluation) -> None:
@@ -211,7 +376,7 @@ class RunLogger:
 
     def _save(self, name: str, state: TrainState, known: Record) -> None:
         attempts = int(state.num_updates) * self._batch
-        record = self._recipe | {"attempts": attempts} | known
+        record = self._kept.recipe | {"attempts": attempts} | known
         save_policy(self._folder / name, jax.device_get(state.params), record)
 
 
@@ -227,7 +392,7 @@ class NullLogger:
 Logger = RunLogger | NullLogger
 
 
-def _row(number: int, batch_size: int, figures: Figures, seconds: float) -> metrics_log.Row:
+def _row(number: int, batch_size: int, figures: Figures, seconds: float) -> Row:
     row = {
         name.removeprefix("env/"): float(value)
         for name, value in figures.items()
@@ -242,7 +407,7 @@ def _row(number: int, batch_size: int, figures: Figures, seconds: float) -> metr
     }
 
 
-def _note(row: metrics_log.Row) -> str:
+def _note(row: Row) -> str:
     """The figures that stand beside the bar."""
     return "  ".join(f"{label} {row[name]:{form}}" for label, name, form in _SHOWN if name in row)
 

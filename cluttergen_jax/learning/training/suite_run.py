@@ -12,12 +12,12 @@ from pathlib import Path
 import jax
 from tqdm import tqdm
 
-from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets import find_pool
 from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.learning.ppo.checkpoint import check_folder, has_state, read_record
-from cluttergen_jax.learning.training.metrics_log import read_rows
 from cluttergen_jax.learning.training.presets import make_settings, paper
 from cluttergen_jax.learning.training.pretrain import is_pretrained, pretrain_for
+from cluttergen_jax.learning.training.run_folder import RunFolder
+from cluttergen_jax.learning.training.run_logger import read_rows
 from cluttergen_jax.learning.training.suite import POOLS, SEEDS, PlannedRun, plan
 from cluttergen_jax.learning.training.train import TrainConfig, recipe_of, run_training
 from cluttergen_jax.progress import time_text
@@ -144,19 +144,20 @@ def _with_encoder(
 
 def _standing(config: TrainConfig, run: PlannedRun) -> RunStatus:
     """Reads how far a run has come; ConfigError where its folder holds a run with other settings."""
+    last: Record = {}
+    record: Record = {}
     if config.encoder_weights is None or is_pretrained(Path(config.encoder_weights)):
         settings = config.settings()
-        check_folder(config.folder, recipe_of(config, settings))
+        folder = RunFolder(config.folder, recipe_of(config, settings))
+        last = folder.record("last")
+        record = folder.record("policy")
     else:
         # No run has begun without its encoder.
         kind = make_settings(config.preset, run.variant).network.scene_encoder
         settings = dataclasses.replace(config, encoder_weights=None, encoder=kind).settings()
     batch = settings.ppo.batch_size
     total = settings.ppo.num_updates * settings.ppo.batch_size
-    last = config.folder / "last"
-    policy = config.folder / "policy"
-    attempts = int(read_record(last)["num_updates"]) * batch if has_state(last) else 0
-    record: Record = read_record(policy) if (policy / "record.json").exists() else {}
+    attempts = int(last.get("num_updates", 0)) * batch
     asked = config.eval_episodes
     evaluation = record.get("evaluation")
     is_evaluated = not asked or (

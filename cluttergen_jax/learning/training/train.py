@@ -7,19 +7,18 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
-from cluttergen_jax.assets.pool import find_pool, public_name
+from cluttergen_jax.assets import find_pool, public_name
 from cluttergen_jax.config import EvalAction, Preset, stability_record
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
-from cluttergen_jax.learning.ppo.checkpoint import check_folder, hold_run
+from cluttergen_jax.learning.networks.config import KIND
+from cluttergen_jax.learning.training.run_folder import Interrupt, RunFolder, hold_run, versions
 from cluttergen_jax.placement.config import placement_record
 from cluttergen_jax.schema import Record
 
 if TYPE_CHECKING:
-    from cluttergen_jax.learning.training.interrupt import Interrupt
     from cluttergen_jax.learning.training.presets import Settings
 
 ACTIONS = get_args(EvalAction)
@@ -162,7 +161,7 @@ def _hold_run(folder: Path) -> Iterator[None]:
         except ClutterGenError as error:
             refusal = error
         if jax.process_count() > 1:
-            from cluttergen_jax.learning.training.distributed import agree
+            from cluttergen_jax.learning.ppo.sharding import agree
 
             is_refused = agree(refusal is not None).any()
             if is_refused and refusal is None:
@@ -179,7 +178,7 @@ def _run(
     interrupt: Interrupt | None,
 ) -> Path:
     # Brax takes seconds to import, and only who trains needs it.
-    from cluttergen_jax.learning.training.distributed import is_writer
+    from cluttergen_jax.learning.ppo.sharding import is_writer
     from cluttergen_jax.learning.training.run import Evaluator, Run, RunConfig
     from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 
@@ -194,9 +193,8 @@ def _run(
             stability=settings.stability,
         )
     )
-    recipe = recipe_of(config, settings)
-    check_folder(config.folder, recipe)
-    say = show if is_writer() else _say_nothing
+    folder = RunFolder(config.folder, recipe_of(config, settings))
+    say = show if is_writer() else lambda text: None
     say(f"run        {config.folder}")
     is_sampled = config.eval_action != "mean"
     evaluate = Evaluator(problem, settings.network, config.eval_episodes, is_sampled, config.seed)
@@ -210,8 +208,7 @@ def _run(
             memory_limit=None if config.memory_limit is None else int(config.memory_limit * 1e9),
             wandb=config.wandb,
         ),
-        config.folder,
-        recipe,
+        folder,
         evaluate if config.eval_episodes else None,
         None if config.encoder_weights is None else Path(config.encoder_weights),
         evaluate.random if config.eval_episodes else None,
@@ -235,9 +232,6 @@ def recipe_of(config: TrainConfig, settings: Settings) -> Record:
         **dataclasses.asdict(settings),
         "placement": placement_record(settings.placement),
         "stability": stability_record(settings.stability),
-        "versions": {name: version(name) for name in ("cluttergen_jax", "mujoco", "jax", "flax")},
+        "versions": versions(),
+        "kind": KIND,
     }
-
-
-def _say_nothing(text: str) -> None:
-    del text

@@ -16,7 +16,7 @@ from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import PART_RGBA, Rectangle, SupportAsset
 from cluttergen_jax.geometry import transform_points, yaw_quaternion
 from cluttergen_jax.placement.rollout.replay import Attempt, Replay
-from cluttergen_jax.rendering.density import heat_points
+from cluttergen_jax.rendering.figure import heat_points
 
 if TYPE_CHECKING:
     import viser
@@ -301,9 +301,7 @@ def add_ghost(
 ) -> Any:
     """A frame `root`, which may be moved, with an object in one colour, each channel in [0, 1]."""
     frame = server.scene.add_frame(root, show_axes=False)
-    whole = join_meshes(
-        [piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts]
-    )
+    whole = join_meshes([piece.mesh for piece in asset.drawn_pieces])
     _surface(server, f"{root}/visual", Piece(whole, rgba))
     return frame
 

@@ -14,14 +14,13 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import rotation_matrix
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.export.meshes import category
-from cluttergen_jax.schema import Numbers, check_numbers, check_seal
+from cluttergen_jax.schema import Numbers, check_numbers, read_sealed_parquet
 
 # Whose hand the grasps were tested with: what MolmoSpaces calls it, and what a file of grasps does.
 ROBOT = "franka"
@@ -78,9 +77,7 @@ def read_grasps(path: str | Path) -> dict[str, np.ndarray]:
     """
     allowed = "a file of `cluttergen robot grasps POOL --out grasps.parquet`, of the Panda's hand"
     try:
-        data = Path(path).read_bytes()
-        check_seal(data)
-        table = pq.read_table(pa.BufferReader(data), page_checksum_verification=True)
+        table = read_sealed_parquet(Path(path).read_bytes())
         poses = np.array(table["pose"].to_pylist(), np.float64).reshape(-1, 7)
         check_numbers({"pose": poses}, _POSES)
         hashes = np.array(table["hash"].to_pylist())

@@ -2,18 +2,183 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from scipy.spatial import ConvexHull
 
-from cluttergen_jax.assets import ObjectAsset, add_object
+from cluttergen_jax.assets import Mesh, ObjectAsset, add_object
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.description import RobotDescription
-from cluttergen_jax.downstream.robot.grasping.antipodal import Pairs, Union, sample_pairs
 from cluttergen_jax.downstream.robot.gripper import Gripper, gripper_of
 from cluttergen_jax.downstream.robot.model import hand_spec
 from cluttergen_jax.downstream.transforms import inverse, pose_of, rigid, shift_along
+
+FRICTION = 0.4
+"""Sliding coefficient that grasps are sought with; the simulator's is 0.5 for most objects."""
+_GAP = 2e-4
+_ON_SURFACE = 1e-6
+
+
+class PointPairs(NamedTuple):
+    """P pairs of points, object frame, metres.
+
+    Attributes:
+      first: f64[P, 3], where one finger touches; axis: f64[P, 3], unit, from there to where the other does.
+      width: f64[P], between the two.
+    """
+
+    first: np.ndarray
+    axis: np.ndarray
+    width: np.ndarray
+
+    @property
+    def middle(self) -> np.ndarray:
+        """f64[P, 3]: halfway between the two."""
+        return self.first + self.axis * self.width[:, None] / 2
+
+
+class _Crossing(NamedTuple):
+    """Where L lines enter and leave P convex parts; inf and -inf where they miss.
+
+    Attributes:
+      enter, leave: f64[L, P], metres along the line.
+      face: i64[L, P], of the part's faces the one through which it leaves.
+    """
+
+    enter: np.ndarray
+    leave: np.ndarray
+    face: np.ndarray
+
+
+class Union:
+    """The union of convex parts, for lines to be cast through; parts: convex collision parts of one body."""
+
+    def __init__(self, parts: Sequence[Mesh]) -> None:
+        hulls = [ConvexHull(part.vertices) for part in parts]
+        # Qhull cuts a flat face into triangles, each with the same plane.
+        self._planes = [np.unique(hull.equations.round(9), axis=0) for hull in hulls]
+        self._hulls = hulls
+
+    def surface_points(
+        self, number: int, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Points on the faces of all parts, uniform by area, and outward normals, f64[number, 3] each.
+
+        Points that lie inside another part are among them.
+        """
+        corners = np.concatenate([hull.points[hull.simplices] for hull in self._hulls])
+        normals = np.concatenate([hull.equations[:, :3] for hull in self._hulls])
+        a, b, c = corners.transpose(1, 0, 2)
+        area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        face = rng.choice(len(area), number, p=area / area.sum())
+        u, v = rng.random((2, number, 1))
+        fold = u + v > 1
+        u = np.where(fold, 1 - u, u)
+        v = np.where(fold, 1 - v, v)
+        return a[face] + u * (b - a)[face] + v * (c - a)[face], normals[face]
+
+    def cast(self, start: np.ndarray, direction: np.ndarray) -> _Crossing:
+        """Where lines f64[L, 3] through `start` cross each part."""
+        found = [self._cast_one(planes, start, direction) for planes in self._planes]
+        return _Crossing(*(np.stack(each, axis=1) for each in zip(*found, strict=True)))
+
+    @staticmethod
+    def _cast_one(
+        planes: np.ndarray, start: np.ndarray, direction: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        slope = direction @ planes[:, :3].T
+        height = start @ planes[:, :3].T + planes[:, 3]
+        is_along = np.abs(slope) < 1e-9
+        time = -height / np.where(is_along, 1.0, slope)
+        enter = np.where(slope < 0, time, -np.inf)
+        leave = np.where(slope > 0, time, np.inf)
+        enter[is_along] = leave[is_along] = -np.inf
+        enter = np.where(is_along & (height > 0), np.inf, enter)
+        leave = np.where(is_along, np.inf, leave)
+        first = enter.max(1)
+        last = leave.min(1)
+        face = leave.argmin(1)
+        is_hit = first < last
+        return np.where(is_hit, first, np.inf), np.where(is_hit, last, -np.inf), face
+
+    def normals(self, crossing: _Crossing, part: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """f64[R, 3]: outward normals where lines `rows`, i[R], leave the parts `part`, i[R]."""
+        return np.array(
+            [self._planes[p][crossing.face[row, p], :3] for row, p in zip(rows, part, strict=True)]
+        ).reshape(-1, 3)
+
+    def reach(self, start: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """f64[L]: metres that lines run within the union from points inside it, 0 for points outside."""
+        crossing = self.cast(start, direction)
+        reach = np.zeros(len(start))
+        for column in np.argsort(crossing.enter, axis=1).T:
+            rows = np.arange(len(start))
+            grows = crossing.enter[rows, column] <= reach + _GAP
+            reach = np.where(grows, np.maximum(reach, crossing.leave[rows, column]), reach)
+        return reach
+
+
+def sample_pairs(
+    union: Union, number: int, rng: np.random.Generator, max_width: float
+) -> PointPairs:
+    """The antipodal pairs among `number` lines that are cast from the surface inwards.
+
+    Half of them run against the surface's normal, since flat pads turn an object until they lie flat on it;
+    the others run level wherever the friction cone allows it, since a level hand comes nearest to a table.
+    At the far end the surface may be tilted as far as the cone allows. Fingers may press upon one wall of a
+    body, or upon two with a hollow between them.
+
+    Args:
+      max_width: metres between the two points.
+    """
+    points, normals = union.surface_points(number, rng)
+    cone = np.arctan(FRICTION)
+    axis = -normals
+    level = axis * [1, 1, 0]
+    length = np.linalg.norm(level, axis=1)
+    may_be_level = (length >= np.cos(cone)) & (np.arange(number) % 2 == 1)
+    axis[may_be_level] = level[may_be_level] / length[may_be_level, None]
+    crossing = union.cast(points, axis)
+    rows, width, part = (np.concatenate(each) for each in zip(*_segments(crossing), strict=True))
+    fits = width <= max_width
+    rows = rows[fits]
+    width = width[fits]
+    facing = (union.normals(crossing, part[fits], rows) * axis[rows]).sum(1)
+    is_good = facing >= np.cos(cone)
+    rows = rows[is_good]
+    return PointPairs(points[rows], axis[rows], width[is_good])
+
+
+def _segments(crossing: _Crossing) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Ends of the segments of lines whose first point is where one of them begins.
+
+    Each is a triple: lines, metres to the end, and the part that ends there. A line's first segment and those
+    behind it count, since a finger may press upon the far side of a hollow body.
+    """
+    num_lines = len(crossing.enter)
+    every = np.arange(num_lines)
+    reach = np.full(num_lines, -np.inf)
+    last = np.zeros(num_lines, np.int64)
+    is_ours = np.zeros(num_lines, bool)
+    ends = []
+    for column in np.argsort(crossing.enter, axis=1).T:
+        enter = crossing.enter[every, column]
+        leave = crossing.leave[every, column]
+        is_new = enter > reach + _GAP
+        done = every[is_ours & is_new & np.isfinite(reach)]
+        ends.append((done, reach[done].copy(), last[done].copy()))
+        # Behind the last part everything is inf: nothing more ends there.
+        is_ours = (is_ours | (is_new & (np.abs(enter) < _ON_SURFACE))) & np.isfinite(enter)
+        grows = np.isfinite(enter) & (leave > reach)
+        reach = np.where(grows, leave, reach)
+        last = np.where(grows, column, last)
+    done = every[is_ours]
+    ends.append((done, reach[done], last[done]))
+    return ends
+
 
 MIN_COVER = 0.012
 """Metres of a pad, along and across the approach, that must lie on an object that has so much."""
@@ -24,18 +189,18 @@ _LEAST_WIDTH = 0.001
 _SHALLOW = (0.0, 0.005)
 """Metres by which a grasp's points may lie nearer to the finger's tips than the middle of the pads."""
 _INSIDE = 5e-4
-_STEEPEST_UP = 0.1
+STEEPEST_UP = 0.1
 _DOWN = np.array([0.0, 0.0, -1.0])
-_CLEARANCE = 0.0015
+CLEARANCE = 0.0015
 """Metres between the hand and the object; the arm is where it should be to a millimetre."""
 _PLANE = "plane"
 _GROUND_GAP = 0.001
 _GROUND_HALF = (0.5, 0.5, 0.05)
-_BACK = (0.0, 0.03, 0.06, 0.1)
+BACK = (0.0, 0.03, 0.06, 0.1)
 """Metres before the grasp at which the hand must be clear of the object too."""
 
 
-class Candidates(NamedTuple):
+class GraspCandidates(NamedTuple):
     """C ways to hold an object.
 
     Attributes:
@@ -47,9 +212,9 @@ class Candidates(NamedTuple):
     width: np.ndarray
     is_low: np.ndarray
 
-    def take(self, index: np.ndarray | slice) -> Candidates:
+    def take(self, index: np.ndarray | slice) -> GraspCandidates:
         """Those at `index`."""
-        return Candidates(*(each[index] for each in self))
+        return GraspCandidates(*(each[index] for each in self))
 
 
 def candidates_of(
@@ -58,7 +223,7 @@ def candidates_of(
     num_lines: int,
     rng: np.random.Generator,
     robot: RobotDescription,
-) -> Candidates:
+) -> GraspCandidates:
     """At most `number` candidates of which the hand is clear where it comes, spread over the object.
 
     Those that can be had while the object rests on a plane as it does in scenes come first.
@@ -82,14 +247,14 @@ def candidates_of(
 
 def draw_approaches(
     union: Union,
-    pairs: Pairs,
+    pairs: PointPairs,
     number: int,
     rng: np.random.Generator,
     gripper: Gripper,
     pad: float,
     down: np.ndarray = _DOWN,
     spread: float | None = None,
-) -> Candidates:
+) -> GraspCandidates:
     """So many poses of the tool about random pairs, deep enough; half of them come from straight above.
 
     Nothing is asked of the hand: of some it cannot come there.
@@ -102,7 +267,7 @@ def draw_approaches(
     """
     wide = np.flatnonzero(pairs.width >= _LEAST_WIDTH)
     if not wide.size:
-        return Candidates(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0, bool))
+        return GraspCandidates(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0, bool))
     row = rng.choice(wide, number)
     axis = pairs.axis[row]
     width = pairs.width[row]
@@ -127,12 +292,12 @@ def draw_approaches(
     is_deep = (depth >= np.minimum(MIN_COVER, 0.75 * (ahead + behind))) & (
         cover >= np.minimum(MIN_COVER, 0.75 * (left + right))
     )
-    keep = is_deep & (approach @ down >= -_STEEPEST_UP)
+    keep = is_deep & (approach @ down >= -STEEPEST_UP)
     turn = np.stack([across, axis, approach], axis=-1)
     # The pads are where the tool's origin is, but for what they move along the approach as they close.
     back = shallow + gripper.depth_of(width)
     pose = rigid(turn, middle - back[:, None] * approach)[keep]
-    return Candidates(pose, width[keep], np.zeros(len(pose), bool))
+    return GraspCandidates(pose, width[keep], np.zeros(len(pose), bool))
 
 
 def _downwards(axis: np.ndarray, down: np.ndarray) -> np.ndarray:
@@ -158,7 +323,7 @@ class HandCheck:
         spec = hand_spec(ContactConfig(), robot)
         self._gripper = gripper_of(robot)
         for geom in spec.geoms:
-            geom.margin = _CLEARANCE
+            geom.margin = CLEARANCE
         body = add_object(spec, asset, OBJECT)
         below = -asset.half_extents[2] - _GROUND_GAP - _GROUND_HALF[2]
         body.add_geom(
@@ -175,10 +340,10 @@ class HandCheck:
 
         Nor before, where it comes straight.
         """
-        opening = self._gripper.opening_of(np.array(width))
+        opening = self._gripper.opening_of(width)
         of_plane = True
         self._data.qpos[: self._start] = self._gripper.joints_of(opening)
-        for back in _BACK:
+        for back in BACK:
             of_object, is_clear = self._look(pose, back)
             if not of_object:
                 return False, False

@@ -12,10 +12,24 @@ import numpy as np
 
 from cluttergen_jax.assets import VISUAL_GROUP, ObjectAsset, object_hash, populated_spec
 from cluttergen_jax.downstream.robot.description import RobotDescription
-from cluttergen_jax.downstream.robot.grasping.antipodal import Pairs, Union, sample_pairs
-from cluttergen_jax.downstream.robot.grasping.candidates import MARGIN, draw_approaches
+from cluttergen_jax.downstream.robot.grasping.candidates import (
+    BACK,
+    CLEARANCE,
+    MARGIN,
+    STEEPEST_UP,
+    PointPairs,
+    Union,
+    draw_approaches,
+    sample_pairs,
+)
 from cluttergen_jax.downstream.robot.gripper import gripper_of
-from cluttergen_jax.downstream.robot.model import bodies_of_tree, hand_spec, remove_drawings
+from cluttergen_jax.downstream.robot.model import (
+    IMPRATIO,
+    bodies_of_tree,
+    copy_options,
+    hand_spec,
+    remove_drawings,
+)
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of, rigid, shift_along
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.sensing import Camera, cast_rays
@@ -26,9 +40,6 @@ RAISED = 0.8
 """Share of `LIFT` by which an object has to have come up in the end."""
 FINGER_DEPTH = 0.045
 """Metres from the root of the fingers to the middle of their pads."""
-_CLEARANCE = 0.0015
-_BACK = (0.0, 0.03, 0.06, 0.1)
-"""Metres before the grasp at which the open hand must be clear, too."""
 ROUNDS = 16
 """How often candidates of a scene are drawn at most."""
 _NUM_LINES = 1500
@@ -47,20 +58,9 @@ _CARRIAGE = "carriage"
 _GAIN = 2e4
 _DAMPING = 400.0
 
-_STEEPEST_UP = 0.1
 _SPREAD = np.radians(35)
 """Of antipodal candidates: most that come flatly are blocked."""
 _AWAY = np.array([0.0, 0.0, 100.0, 1.0, 0.0, 0.0, 0.0])
-_OPTIONS = (
-    "timestep",
-    "gravity",
-    "cone",
-    "impratio",
-    "iterations",
-    "noslip_iterations",
-    "integrator",
-)
-_IMPRATIO = 10.0
 
 
 class Source(StrEnum):
@@ -216,7 +216,7 @@ def _surface_poses(
     VGN draws it (Breyer et al., CoRL 2020).
     """
     points, normals = union.surface_points(4 * number, rng)
-    is_up = (normals @ turn.T)[:, 2] > -_STEEPEST_UP
+    is_up = (normals @ turn.T)[:, 2] > -STEEPEST_UP
     points = points[is_up][:number]
     normals = normals[is_up][:number]
     helper = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
@@ -230,14 +230,43 @@ def _surface_poses(
 
 
 @lru_cache(maxsize=1024)
-def _lines(asset: ObjectAsset, widest: float) -> tuple[Union, Pairs]:
+def _lines(asset: ObjectAsset, widest: float) -> tuple[Union, PointPairs]:
     """An object's union of parts and its antipodal pairs: by its content alone."""
     union = Union(asset.parts)
     rng = np.random.default_rng(int(object_hash(asset)[:12], 16))
     return union, sample_pairs(union, _NUM_LINES, rng, widest)
 
 
-class StillScene:
+class _HandScene:
+    """A scene and a hand that can be put anywhere in it.
+
+    Args:
+      spec: of `_spec_with_hand`. robot: whose hand it is.
+    """
+
+    def __init__(self, spec: mujoco.MjSpec, robot: RobotDescription) -> None:
+        self.robot = robot
+        self._gripper = gripper_of(robot)
+        self._model = model = spec.compile()
+        self._data = mujoco.MjData(model)
+        self._carriage = model.body(_CARRIAGE).id
+        self._hand = model.body(_PREFIX + robot.gripper.body).id
+        self._is_hand = bodies_of_tree(model, self._carriage)
+        joints = [model.joint(index) for index in range(model.njnt)]
+        # In the order of its own model.
+        self._fingers = [
+            int(joint.qposadr[0]) for joint in joints if joint.name.startswith(_PREFIX)
+        ]
+
+    def _put(self, pose: np.ndarray, opening: float) -> None:
+        """The tool at T_world_tool f64[4, 4], each pad so many metres from the middle."""
+        found = pose_of(pose @ inverse(self._gripper.T_hand_tool))
+        self._model.body_pos[self._carriage] = found[:3]
+        self._model.body_quat[self._hand] = found[3:]
+        self._data.qpos[self._fingers] = self._gripper.joints_of(opening)
+
+
+class StillScene(_HandScene):
     """A scene that stands still, for looks: what the open hand would touch, and what cameras see.
 
     Args:
@@ -246,22 +275,15 @@ class StillScene:
     """
 
     def __init__(self, scene: Scene, robot: RobotDescription) -> None:
-        self.robot = robot
-        self._gripper = gripper_of(robot)
         spec = _spec_with_hand(scene, robot, visual=True)
         for joint in [each for each in spec.joints if each.name in scene.names]:
             spec.delete(joint)
-        hand = spec.body(_PREFIX + robot.gripper.body)
         for geom in spec.geoms:
             geom.margin = 0.0
+        hand = spec.body(_PREFIX + robot.gripper.body)
         for geom in hand.find_all(mujoco.mjtObj.mjOBJ_GEOM):
-            geom.margin = _CLEARANCE
-        self._model = spec.compile()
-        self._data = mujoco.MjData(self._model)
-        self._carriage = self._model.body(_CARRIAGE).id
-        self._hand = self._model.body(hand.name).id
-        self._fingers = _fingers_of(self._model)
-        self._is_hand = bodies_of_tree(self._model, self._carriage)
+            geom.margin = CLEARANCE
+        super().__init__(spec, robot)
         self._groups = np.zeros(mujoco.mjNGROUP, np.uint8)
         self._groups[VISUAL_GROUP] = 1
 
@@ -271,11 +293,10 @@ class StillScene:
         Returns:
           Its name; "" where the hand is free.
         """
-        for back in _BACK:
-            self._put(
-                shift_along(pose, (0.0, 0.0, -back)),
-                float(self._gripper.opening_of(np.array(width))),
-            )
+        opening = float(self._gripper.opening_of(width))
+        for back in BACK:
+            self._put(shift_along(pose, (0.0, 0.0, -back)), opening)
+            mujoco.mj_kinematics(self._model, self._data)
             mujoco.mj_collision(self._model, self._data)
             bodies = self._model.geom_bodyid[self._data.contact.geom]
             others = bodies[self._is_hand[bodies].sum(1) == 1]
@@ -287,17 +308,11 @@ class StillScene:
     def depth(self, camera: Camera) -> np.ndarray:
         """f32[H, W]: metres along the optical axis, without noise; inf where nothing is."""
         self._put(matrix_of(_AWAY), 0.0)
+        mujoco.mj_kinematics(self._model, self._data)
         return cast_rays(self._model, self._data, camera, self._groups)[0]
 
-    def _put(self, pose: np.ndarray, opening: float) -> None:
-        _put_hand(
-            self._model, self._carriage, self._hand, pose @ inverse(self._gripper.T_hand_tool)
-        )
-        self._data.qpos[self._fingers] = self._gripper.joints_of(np.array(opening))
-        mujoco.mj_kinematics(self._model, self._data)
 
-
-class LiftScene:
+class LiftScene(_HandScene):
     """A scene in which a hand closes and rises by `LIFT`; everything is awake.
 
     Args:
@@ -306,17 +321,10 @@ class LiftScene:
     """
 
     def __init__(self, scene: Scene, robot: RobotDescription) -> None:
-        self._gripper = gripper_of(robot)
-        spec = _spec_with_hand(scene, robot, visual=False)
-        self._model = spec.compile()
+        super().__init__(_spec_with_hand(scene, robot, visual=False), robot)
         # What diverges is to be seen, not begun anew.
         self._model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        self._data = mujoco.MjData(self._model)
-        self._carriage = self._model.body(_CARRIAGE).id
-        self._hand = self._model.body(_PREFIX + robot.gripper.body).id
         self._bodies = [self._model.body(name).id for name in scene.names]
-        self._fingers = _fingers_of(self._model)
-        self._is_hand = bodies_of_tree(self._model, self._carriage)
         self._is_object = np.isin(np.arange(self._model.nbody), self._bodies)
         # The carriage's motor was added first.
         self._up = 0
@@ -328,9 +336,8 @@ class LiftScene:
         data = self._data
         mujoco.mj_resetData(model, data)
         gripper = self._gripper
-        _put_hand(model, self._carriage, self._hand, pose @ inverse(gripper.T_hand_tool))
-        opening = gripper.opening_of(np.array(width))
-        data.qpos[self._fingers] = gripper.joints_of(opening)
+        opening = float(gripper.opening_of(width))
+        self._put(pose, opening)
         come = float(gripper.control_of(opening))
         mujoco.mj_forward(model, data)
         start = data.xpos[self._bodies].copy()
@@ -384,9 +391,8 @@ def _spec_with_hand(scene: Scene, robot: RobotDescription, visual: bool) -> mujo
     hand = hand_spec(scene.contact, robot)
     remove_drawings(hand)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.impratio = _IMPRATIO
-    for option in _OPTIONS:
-        setattr(hand.option, option, getattr(spec.option, option))
+    spec.option.impratio = IMPRATIO
+    copy_options(spec, hand)
     carriage = spec.worldbody.add_body(name=_CARRIAGE, pos=_AWAY[:3])
     carriage.add_joint(name=_CARRIAGE, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(0, 0, 1))
     motor = spec.add_actuator(
@@ -400,16 +406,3 @@ def _spec_with_hand(scene: Scene, robot: RobotDescription, visual: bool) -> mujo
     motor.biasprm[:3] = 0.0, -_GAIN, -_DAMPING
     spec.attach(hand, prefix=_PREFIX, frame=carriage.add_frame())
     return spec
-
-
-def _put_hand(model: mujoco.MjModel, carriage: int, hand: int, T_world_hand: np.ndarray) -> None:
-    """Puts the hand at f64[4, 4]."""
-    pose = pose_of(T_world_hand)
-    model.body_pos[carriage] = pose[:3]
-    model.body_quat[hand] = pose[3:]
-
-
-def _fingers_of(model: mujoco.MjModel) -> list[int]:
-    """Where the hand's joints are in `qpos`, in the order of its own model."""
-    named = [model.joint(index) for index in range(model.njnt)]
-    return [int(joint.qposadr[0]) for joint in named if joint.name.startswith(_PREFIX)]

@@ -16,7 +16,7 @@ from mujoco.rollout import Rollout
 from cluttergen_jax.assets import ObjectAsset, add_object
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
-from cluttergen_jax.downstream.robot.grasping.candidates import OBJECT, Candidates
+from cluttergen_jax.downstream.robot.grasping.candidates import OBJECT, GraspCandidates
 from cluttergen_jax.downstream.robot.gripper import Gripper, gripper_of
 from cluttergen_jax.downstream.robot.model import hand_spec
 from cluttergen_jax.downstream.transforms import angle_between, inverse, matrix_of, pose_of
@@ -88,7 +88,7 @@ class _Course(NamedTuple):
 
 def check_grasps(
     asset: ObjectAsset,
-    candidates: Candidates,
+    candidates: GraspCandidates,
     pool: Rollout,
     is_brief: bool = False,
     robot: RobotDescription | None = None,

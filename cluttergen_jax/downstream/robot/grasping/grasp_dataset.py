@@ -1,5 +1,10 @@
 """Datasets of labelled grasps in clutter, a scene at a time, resumable.
 
+Besides Parquet the files of VGN and GIGA are written (Breyer et al., "Volumetric Grasping Network: Real-time
+6 DOF Grasp Detection in Clutter", CoRL 2020, and its code; Jiang et al., RSS 2021), in their frames and
+numbers. Their task frame has its origin at a lower corner of a cube; the table lies one finger's depth above
+it. Their tool frame is at the root of the fingers.
+
 dataset.json                    how it was made
 grasps.parquet, README.md       every candidate with its labels, and the card
 raw/                            VGN's files: setup.json, grasps.csv, scenes/NUMBER.npz; GIGA's meshes
@@ -23,10 +28,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cluttergen_jax.assets import Mesh, ObjectAsset, mesh_text
+from cluttergen_jax.assets import Mesh, ObjectAsset, SupportAsset, join_meshes, mesh_text
+from cluttergen_jax.downstream.noise import REALSENSE, noisy
 from cluttergen_jax.downstream.robot.description import RobotDescription
-from cluttergen_jax.downstream.robot.grasping import vgn
 from cluttergen_jax.downstream.robot.grasping.clutter import (
+    FINGER_DEPTH,
     LIFT,
     RAISED,
     Lift,
@@ -37,9 +43,10 @@ from cluttergen_jax.downstream.robot.grasping.clutter import (
     label_grasps,
 )
 from cluttergen_jax.downstream.robot.gripper import gripper_of
-from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
+from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of, rigid, shift_along
 from cluttergen_jax.evaluation import versions
 from cluttergen_jax.files import remove_partial, write_atomically, writing
+from cluttergen_jax.geometry import rotate_in_plane
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene import (
     Scene,
@@ -49,12 +56,146 @@ from cluttergen_jax.scene import (
     read_scenes,
     write_unless_own,
 )
-from cluttergen_jax.sensing import REALSENSE, Camera, noisy
+from cluttergen_jax.sensing import Camera
+from cluttergen_jax.stores import BlockStore
 from cluttergen_jax.tables import markdown_table
-from cluttergen_jax.views import begin_record, dataset_folder
+
+CUBE = 0.3
+"""Metres: the cube's side, six times `FINGER`."""
+FINGER = 0.05
+"""Metres that a finger is long there."""
+RESOLUTION = 40
+# Of pictures, pixels; half of theirs.
+WIDTH = 320
+HEIGHT = 240
+FOCAL = 270.0
+
+_TRUNCATION = 4
+"""Voxels around a surface within which distances are kept."""
+_EDGE = 0.98
+"""Truncated distances nearer to 1 are not in their grids."""
+_FAR = (1.6, 2.4)
+_TILT = np.pi / 4
+CSV = "scene_id,qx,qy,qz,qw,x,y,z,width,label"
+VOXEL_CSV = "scene_id,qx,qy,qz,qw,i,j,k,width,label"
+
+
+def task_frame(support: SupportAsset) -> np.ndarray:
+    """f64[4, 4]: T_world_task, a lower corner of the cube, which has the region's middle and turn."""
+    turn = support.region.yaw
+    cos = np.cos(turn)
+    sin = np.sin(turn)
+    rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    middle = support.region_points[0]
+    corner = middle[:2] + rotate_in_plane(np.array([-CUBE / 2, -CUBE / 2]), turn)
+    return rigid(rotation, np.array([*corner, middle[2] - FINGER]))
+
+
+def draw_cameras(T_world_task: np.ndarray, number: int, rng: np.random.Generator) -> list[Camera]:
+    """Cameras on a dome around the cube's foot, as VGN draws them; they look at the table's middle."""
+    middle = (T_world_task @ [CUBE / 2, CUBE / 2, FINGER, 1.0])[:3]
+    cameras = []
+    for _ in range(number):
+        tilt = rng.uniform(0.02, _TILT)
+        turn = rng.uniform(0, 2 * np.pi)
+        far = rng.uniform(*_FAR) * CUBE
+        away = np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)])
+        cameras.append(Camera.looking(middle + far * away, middle, WIDTH, HEIGHT, FOCAL))
+    return cameras
+
+
+def tsdf_grid(
+    depths: Sequence[np.ndarray], cameras: Sequence[Camera], T_world_task: np.ndarray
+) -> np.ndarray:
+    """f32[1, N, N, N]: truncated signed distances of `RESOLUTION` voxels a side, x first.
+
+    As VGN's networks read them: (d + 1) / 2 of a distance d in front of (above 0) or behind the surface, in
+    units of four voxels; 0 where nothing was measured or the surface is farther away than that.
+
+    Args:
+      depths: f32[H, W] each, metres along the optical axis; not finite where nothing was measured.
+      cameras: where they were taken, as far as is known.
+    """
+    voxel = CUBE / RESOLUTION
+    steps = (np.arange(RESOLUTION) + 0.5) * voxel
+    points = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = points @ T_world_task[:3, :3].T + T_world_task[:3, 3]
+    total = np.zeros(len(points))
+    weight = np.zeros(len(points))
+    for depth, camera in zip(depths, cameras, strict=True):
+        pixels, far = camera.project(points)
+        column, row = np.floor(pixels).astype(int).T
+        is_seen = (
+            (far > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+        )
+        measured = np.full(len(points), np.nan)
+        measured[is_seen] = depth[row[is_seen], column[is_seen]]
+        # Along the ray, not along the optical axis.
+        slant = np.linalg.norm(points - camera.eye, axis=1) / np.maximum(far, 1e-9)
+        distance = (measured - far) * slant / (_TRUNCATION * voxel)
+        is_used = np.isfinite(distance) & (distance > -1)
+        total[is_used] += np.minimum(1.0, distance[is_used])
+        weight[is_used] += 1
+    mean = np.divide(total, weight, out=np.ones_like(total), where=weight > 0)
+    grid = np.where((weight > 0) & (np.abs(mean) < _EDGE), (mean + 1) / 2, 0.0)
+    return grid.astype(np.float32).reshape(1, RESOLUTION, RESOLUTION, RESOLUTION)
+
+
+def _setup(opening: float) -> dict[str, Any]:
+    """What `setup.json` holds, of a hand that opens by so many metres.
+
+    Open3D, which they use, has whole numbers at the middles of pixels, where `Camera` has halves.
+    """
+    K = [FOCAL, 0.0, WIDTH / 2 - 0.5, 0.0, FOCAL, HEIGHT / 2 - 0.5, 0.0, 0.0, 1.0]
+    return {
+        "size": CUBE,
+        "intrinsic": {"width": WIDTH, "height": HEIGHT, "K": K},
+        "max_opening_width": opening,
+        "finger_depth": FINGER,
+    }
+
+
+def grasp_numbers(pose: np.ndarray, T_world_task: np.ndarray) -> np.ndarray:
+    """f64[C, 7]: qx, qy, qz, qw, x, y, z of their tool frame in the task's, of T_world_tool f64[C, 4, 4]."""
+    return _numbers(inverse(T_world_task) @ shift_along(pose, (0.0, 0.0, -FINGER_DEPTH)))
+
+
+def is_inside(numbers: np.ndarray) -> np.ndarray:
+    """bool[C]: grasps f64[C, 7] (`grasp_numbers`) in the cube."""
+    inside: np.ndarray = np.all((numbers[:, 4:] >= 0) & (numbers[:, 4:] < CUBE), axis=1)
+    return inside
+
+
+def csv_lines(
+    scene: str, numbers: np.ndarray, width: np.ndarray, label: np.ndarray, scale: float
+) -> list[str]:
+    """Rows of `grasps.csv`; lengths are divided by `scale`, 1 for metres."""
+    lines = []
+    for number, each, good in zip(numbers, width, label, strict=True):
+        values = [*number[:4], *(number[4:] / scale), each / scale]
+        lines.append(",".join([scene, *(f"{value:.9g}" for value in values), str(int(good))]))
+    return lines
+
+
+def _numbers(matrix: np.ndarray) -> np.ndarray:
+    """f64[..., 7]: poses f64[..., 4, 4] as x, y, z, w of a quaternion, then the position."""
+    return pose_of(matrix)[..., [4, 5, 6, 3, 0, 1, 2]]
+
+
+def _write_npz(path: Path, **arrays: Any) -> None:
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    write_atomically(path, buffer.getvalue())
+
+
+def _write_table(path: Path, table: pa.Table) -> None:
+    buffer = io.BytesIO()
+    pq.write_table(table, buffer, write_page_checksum=True)
+    write_atomically(path, buffer.getvalue())
+
 
 GRASPS = "grasps.parquet"
-_CONTENT = "grasps"
+_DATASET = BlockStore("grasps", "dataset.json", "grasps of scenes", "cluttergen robot dataset")
 _COLUMNS = {
     "scene": (pa.int32(), "number of the scene in its bank"),
     "object": (pa.string(), "name of the object that is meant"),
@@ -142,12 +283,12 @@ def make(
         "robot": {"name": plan.robot.name, "hash": plan.robot.hash},
         "versions": versions(),
     }
-    with dataset_folder(out, _CONTENT).lock(), writing(out):
+    with _DATASET.hold(out), writing(out):
         remove_partial(out)
-        begin_record(out, recipe, _CONTENT)
+        _DATASET.begin(out, recipe)
         meshes = {asset.name: asset for scene in scenes for asset in scene.objects}
         for name, asset in meshes.items():
-            _write(out / _mesh_name(name), mesh_text(_surface_of(asset)).encode())
+            write_atomically(out / _mesh_name(name), mesh_text(_surface_of(asset)).encode())
         missing = [scene for scene in scenes if not (out / _part_name(scene)).is_file()]
         done = len(scenes) - len(missing)
         pool = ThreadPoolExecutor(num_threads)
@@ -167,7 +308,7 @@ def _make_scene(out: Path, plan: GraspPlan, scene: Scene) -> str:
     """Makes all files of a scene, that of its candidates last; a note."""
     streams = np.random.default_rng([plan.seed, scene.origin.index]).spawn(3)
     still = StillScene(scene, plan.robot)
-    T_world_task = vgn.task_frame(scene.support)
+    T_world_task = task_frame(scene.support)
     labelled = label_grasps(scene, still, plan.num_grasps, streams[0])
     grasps = labelled.grasps
     is_free = labelled.blocked_by == ""
@@ -181,17 +322,15 @@ def _make_scene(out: Path, plan: GraspPlan, scene: Scene) -> str:
     noise = REALSENSE.scale(plan.noise)
     depths = []
     cameras = []
-    for camera in vgn.draw_cameras(T_world_task, plan.num_views, streams[2]):
+    for camera in draw_cameras(T_world_task, plan.num_views, streams[2]):
         depth, believed = noisy(still.depth(camera), camera, noise, streams[2])
         depths.append(depth)
         cameras.append(believed)
     _write_scene(out, scene, T_world_task, depths, cameras)
-    numbers = vgn.grasp_numbers(grasps.pose, T_world_task)
-    table = _table(scene, grasps, labelled.blocked_by, lifts, vgn.is_inside(numbers))
+    numbers = grasp_numbers(grasps.pose, T_world_task)
+    table = _table(scene, grasps, labelled.blocked_by, lifts, is_inside(numbers))
     counts = {"drawn": str(labelled.num_drawn), "free": str(labelled.num_free)}
-    buffer = io.BytesIO()
-    pq.write_table(table.replace_schema_metadata(counts), buffer, write_page_checksum=True)
-    _write(out / _part_name(scene), buffer.getvalue())
+    _write_table(out / _part_name(scene), table.replace_schema_metadata(counts))
     good = sum(lift.end is LiftEnd.LIFTED for lift in lifts.values())
     return f"{int(is_free.sum())} of {len(is_free)} free, {good} of {len(lifts)} lifted"
 
@@ -204,15 +343,22 @@ def _write_scene(
     cameras: Sequence[Camera],
 ) -> None:
     """What was seen, as pictures and as a volume, and where the meshes are."""
-    number = _number(scene)
-    grid = vgn.tsdf_grid(depths, cameras, T_world_task)
-    poses = inverse(T_world_task) @ matrix_of(scene.poses)
-    meshes = [
-        (_mesh_name(each.name), pose) for each, pose in zip(scene.objects, poses, strict=True)
-    ]
-    _write(out / f"raw/scenes/{number}.npz", vgn.sensor_file(depths, cameras, T_world_task))
-    _write(out / f"raw/mesh_pose_list/{number}.npz", vgn.mesh_file(meshes))
-    _write(out / f"voxels/scenes/{number}.npz", vgn.voxel_file(grid))
+    T_task_world = inverse(T_world_task)
+    extrinsics = [_numbers(inverse(each.T_world_camera) @ T_world_task) for each in cameras]
+    images = [np.where(np.isfinite(each), each, 0.0) for each in depths]
+    # GIGA's list: file, scale, T_task_mesh; an array of objects, which NumPy pickles.
+    meshes = np.empty((len(scene.names), 3), object)
+    for row, asset, pose in zip(meshes, scene.objects, matrix_of(scene.poses), strict=True):
+        row[:] = _mesh_name(asset.name), 1.0, T_task_world @ pose
+    grid = tsdf_grid(depths, cameras, T_world_task)
+    name = f"{_number(scene)}.npz"
+    _write_npz(
+        out / "raw/scenes" / name,
+        depth_imgs=np.array(images, np.float32),
+        extrinsics=np.array(extrinsics, np.float32),
+    )
+    _write_npz(out / "raw/mesh_pose_list" / name, pc=meshes)
+    _write_npz(out / "voxels/scenes" / name, grid=grid)
 
 
 def _table(
@@ -255,18 +401,18 @@ def _finish(
         for name in ("drawn", "free")
     }
     whole = pa.concat_tables([part.replace_schema_metadata(None) for part in parts])
-    buffer = io.BytesIO()
-    pq.write_table(whole, buffer, write_page_checksum=True)
-    _write(out / GRASPS, buffer.getvalue())
-    _write(out / "raw/setup.json", (json.dumps(vgn.setup(2 * opening), indent=4) + "\n").encode())
-    raw = [vgn.CSV]
-    voxels = [vgn.VOXEL_CSV]
+    _write_table(out / GRASPS, whole)
+    write_atomically(
+        out / "raw/setup.json", (json.dumps(_setup(2 * opening), indent=4) + "\n").encode()
+    )
+    raw = [CSV]
+    voxels = [VOXEL_CSV]
     for scene, part in zip(scenes, parts, strict=True):
-        rows = _labelled_rows(part, recipe["num_lifts"], vgn.task_frame(scene.support))
-        raw += vgn.csv_lines(_number(scene), *rows, 1.0)
-        voxels += vgn.csv_lines(_number(scene), *rows, vgn.SIZE / vgn.RESOLUTION)
-    _write(out / "raw/grasps.csv", ("\n".join(raw) + "\n").encode())
-    _write(out / "voxels/grasps.csv", ("\n".join(voxels) + "\n").encode())
+        rows = _labelled_rows(part, recipe["num_lifts"], task_frame(scene.support))
+        raw += csv_lines(_number(scene), *rows, 1.0)
+        voxels += csv_lines(_number(scene), *rows, CUBE / RESOLUTION)
+    write_atomically(out / "raw/grasps.csv", ("\n".join(raw) + "\n").encode())
+    write_atomically(out / "voxels/grasps.csv", ("\n".join(voxels) + "\n").encode())
     lifts = Counter(each for each in whole["lift"].to_pylist() if each is not None)
     made = GraspDataset(
         out,
@@ -297,7 +443,7 @@ def _labelled_rows(
     pose = matrix_of(np.array(part["pose"].to_pylist(), np.float64).reshape(-1, 7))
     final = np.array(part["lifted_width"].to_pylist(), np.float64)
     width = np.where(np.isfinite(final), final, part["width"].to_numpy())
-    return vgn.grasp_numbers(pose, T_world_task)[chosen], width[chosen], label[chosen].astype(bool)
+    return grasp_numbers(pose, T_world_task)[chosen], width[chosen], label[chosen].astype(bool)
 
 
 def _card(
@@ -322,8 +468,8 @@ def _card(
         "free": f"{made.num_free} of these; of all {counts['drawn']} that were drawn {counts['free']}",
         "lifts": ", ".join(f"{name} {number}" for name, number in made.lifts.items())
         or "none executed",
-        "in VGN's files": f"{num_csv}, those inside its cube of {vgn.SIZE:g} m whose label is known",
-        "views": f"{recipe['num_views']} of {vgn.WIDTH} x {vgn.HEIGHT} a scene, noise {recipe['noise']:g}",
+        "in VGN's files": f"{num_csv}, those inside its cube of {CUBE:g} m whose label is known",
+        "views": f"{recipe['num_views']} of {WIDTH} x {HEIGHT} a scene, noise {recipe['noise']:g}",
         "seed": recipe["seed"],
         "versions": ", ".join(f"{name} {number}" for name, number in recipe["versions"].items()),
     }
@@ -351,11 +497,6 @@ def _card(
     )
 
 
-def _write(path: Path, data: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, data)
-
-
 def _number(scene: Scene) -> str:
     return f"{scene.origin.index:06d}"
 
@@ -370,7 +511,6 @@ def _mesh_name(name: str) -> str:
 
 def _surface_of(asset: ObjectAsset) -> Mesh:
     """What is seen of an object as one mesh; its parts where it has no surface."""
-    meshes = [piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts]
-    first = np.cumsum([0, *(len(each.vertices) for each in meshes)])
-    faces = [each.faces + start for each, start in zip(meshes, first, strict=False)]
-    return Mesh(np.concatenate([each.vertices for each in meshes]), np.concatenate(faces))
+    return join_meshes(
+        [piece.mesh for piece in asset.pieces] or [part.hull() for part in asset.parts]
+    )

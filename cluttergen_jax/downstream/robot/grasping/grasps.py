@@ -8,9 +8,9 @@ the user's own pools.
 from __future__ import annotations
 
 import hashlib
-import io
 import os
-from collections.abc import Iterator, Sequence
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,13 +23,27 @@ from mujoco.rollout import Rollout
 
 from cluttergen_jax.assets import ObjectAsset, object_hash, user_root
 from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
-from cluttergen_jax.downstream.robot.grasping.candidates import Candidates, candidates_of, spread
+from cluttergen_jax.downstream.robot.grasping.candidates import (
+    GraspCandidates,
+    candidates_of,
+    spread,
+)
 from cluttergen_jax.downstream.robot.grasping.grasp_check import MAX_LOAD, GraspCheck, check_grasps
-from cluttergen_jax.downstream.transforms import pose_of
-from cluttergen_jax.errors import PoolError
+from cluttergen_jax.downstream.robot.gripper import gripper_of
+from cluttergen_jax.downstream.robot.protocols import GraspSource
+from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
+from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.files import write_atomically
+from cluttergen_jax.own_parts import array_of
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.schema import SEAL, Numbers, SchemaError, check_numbers, check_seal, with_seal
+from cluttergen_jax.rendering import Trail, contact_sheet, render_object
+from cluttergen_jax.schema import (
+    Numbers,
+    SchemaError,
+    check_numbers,
+    read_sealed_parquet,
+    sealed_parquet,
+)
 from cluttergen_jax.tables import aligned_table
 
 MIN_GRASPS = 8
@@ -95,15 +109,14 @@ class Grasps:
 
 
 def make_grasps(
-    asset: ObjectAsset, number: int, seed: int, pool: Rollout, robot: RobotDescription | None = None
+    asset: ObjectAsset, number: int, seed: int, pool: Rollout, robot: RobotDescription
 ) -> Grasps:
     """Draws candidates for an object and tests them until `number` hold; of those the low ones come first.
 
     Args:
       pool: MuJoCo's threads; their number changes nothing.
-      robot: whose hand it is; the Panda's if not given.
+      robot: whose hand it is.
     """
-    robot = robot or find_robot()
     content = object_hash(asset)
     # An object's own numbers, whatever pool it is in.
     rng = np.random.default_rng([seed, int(content[:12], 16)])
@@ -121,11 +134,7 @@ def make_grasps(
         tests.append(verify_grasps(asset, batch, pool, robot))
         num_tested = num_tested + len(batch.width)
         missing = missing - int(tests[-1].is_held.sum())
-    result = (
-        GraspCheck(*(np.concatenate(each) for each in zip(*tests, strict=True)))
-        if tests
-        else _NO_TEST
-    )
+    result = GraspCheck(*(np.concatenate(each) for each in zip(_NO_TEST, *tests, strict=True)))
     held = np.flatnonzero(result.is_held)
     chosen = held[spread(candidates.pose[held], min(number, len(held)), rng)]
     chosen = chosen[np.argsort(~candidates.is_low[chosen], kind="stable")]
@@ -145,7 +154,10 @@ def make_grasps(
 
 
 def verify_grasps(
-    asset: ObjectAsset, candidates: Candidates, pool: Rollout, robot: RobotDescription | None = None
+    asset: ObjectAsset,
+    candidates: GraspCandidates,
+    pool: Rollout,
+    robot: RobotDescription,
 ) -> GraspCheck:
     """`check_grasps`, passed where the hand also holds the object 2 mm short of the grasp."""
     test = check_grasps(asset, candidates, pool, robot=robot)
@@ -180,12 +192,12 @@ def grasps_of(
     """The grasps of objects one after another, from disk where they are kept, and made and kept where not.
 
     Args:
-      robot: whose hand it is; the Panda's if not given.
+      num_threads: 0 takes every core. robot: whose hand it is; the Panda's if not given.
     """
     robot = robot or find_robot()
     with (
         Progress("grasping", len(objects), "object") as progress,
-        Rollout(nthread=num_threads) as pool,
+        Rollout(nthread=num_threads or os.cpu_count() or 1) as pool,
     ):
         for asset in objects:
             path = grasp_file(asset, number, seed, robot)
@@ -205,10 +217,9 @@ def write_grasps(path: Path, sets: Sequence[Grasps]) -> Path:
     rows = {
         "object": [each.name for each in sets for _ in each.width],
         "hash": [each.hash for each in sets for _ in each.width],
-        **{name: [row for each in sets for row in getattr(each, name).tolist()] for name in _POSES},
-        **{name: np.concatenate([getattr(each, name) for each in sets]) for name in _COLUMNS},
-        "is_low": np.concatenate([each.is_low for each in sets]),
     }
+    for name in (*_POSES, *_COLUMNS, "is_low"):
+        rows[name] = np.concatenate([getattr(each, name) for each in sets]).tolist()
     schema = pa.schema(
         [
             ("object", pa.string()),
@@ -232,11 +243,7 @@ def write_grasps(path: Path, sets: Sequence[Grasps]) -> Path:
             "tested": " ".join(f"{each.name}={each.num_tested}" for each in sets),
         },
     )
-    buffer = io.BytesIO()
-    with pq.ParquetWriter(buffer, schema, write_page_checksum=True) as writer:
-        writer.write_table(pa.table(rows, schema=schema))
-        writer.add_key_value_metadata(SEAL)
-    write_atomically(path, with_seal(buffer.getvalue()))
+    write_atomically(path, sealed_parquet(pa.table(rows, schema=schema)))
     return path
 
 
@@ -264,10 +271,7 @@ def read_grasps(path: Path, asset: ObjectAsset) -> Grasps | None:
     if not path.is_file():
         return None
     try:
-        data = path.read_bytes()
-        check_seal(data)
-        table = pq.read_table(pa.BufferReader(data), page_checksum_verification=True)
-        table.validate(full=True)
+        table = read_sealed_parquet(path.read_bytes())
         metadata = {
             key.decode(): text.decode() for key, text in (table.schema.metadata or {}).items()
         }
@@ -347,14 +351,172 @@ def _row(grasps: Grasps) -> tuple[str, ...]:
     return (*counts, *(f"{each:.1f}" for each in (shift, slip, turn, margin)))
 
 
-def grasp_sets(
-    objects: Sequence[ObjectAsset],
-    number: int,
-    seed: int,
-    num_threads: int,
-    fresh: bool,
-    robot: RobotDescription | None = None,
-) -> GraspSets:
-    """The grasps of objects (`grasps.grasps_of`); 0 threads are as many as there are cores."""
-    threads = num_threads or os.cpu_count() or 1
-    return GraspSets(tuple(grasps_of(objects, number, seed, threads, fresh, robot)))
+_HINT = "{'mug': (poses, widths), ...}, or a file of `cluttergen robot grasps` with --out"
+
+
+class GraspFinder:
+    """Gives objects their grasps: the user's own, or the tested ones that are kept or made.
+
+    Args:
+      own: a user's; None for those that are made. num_threads: of the tests of those.
+      robot: whose hand it is; the Panda's if not given.
+
+    Raises:
+      ConfigError: `own` is no source of grasps. PoolError: a file cannot be read.
+    """
+
+    def __init__(
+        self,
+        own: GraspSource | GraspSets | None,
+        num_threads: int,
+        robot: RobotDescription | None = None,
+    ) -> None:
+        self._path = Path(own) if isinstance(own, str | Path) else None
+        self._robot = robot or find_robot()
+        self._num_threads = num_threads
+        self._told = set[str]()
+        self._own: Mapping[str, Any] | None = None
+        if isinstance(own, GraspSets):
+            self._own = {each.name: each for each in own}
+        elif self._path is not None:
+            self._own = _read_plain(self._path)
+        elif isinstance(own, Mapping):
+            self._own = own
+        elif own is not None:
+            raise ConfigError(f"grasps = {own!r}", "a mapping by object, or a Parquet file", _HINT)
+
+    def __call__(self, objects: Sequence[ObjectAsset]) -> list[Grasps]:
+        """The grasps of objects, in their order.
+
+        Raises:
+          ConfigError: an object has none, or they have other shapes or numbers.
+        """
+        if self._own is None:
+            return list(grasps_of(objects, num_threads=self._num_threads, robot=self._robot))
+        if missing := sorted({each.name for each in objects} - set(self._own)):
+            raise ConfigError(
+                f"`grasps` without any of {', '.join(missing)}", "some of each object", _HINT
+            )
+        found = [self._of(asset, self._own[asset.name]) for asset in objects]
+        fresh = [each.name for each in found if not each.num_tested and each.name not in self._told]
+        if fresh:
+            self._told.update(fresh)
+            print(f"grasps     not tested: your own of {', '.join(fresh)}", file=sys.stderr)
+        return found
+
+    def _of(self, asset: ObjectAsset, given: Any) -> Grasps:
+        content = object_hash(asset)
+        if given is None and self._path is not None:
+            given = read_grasps(self._path, asset)
+            if given is None:
+                told = f"{self._path}: grasps of another version"
+                raise PoolError(told, _HINT, "making them again")
+        if not isinstance(given, Grasps):
+            return _make_grasps(asset.name, content, given, self._robot)
+        what = "none"
+        if len(given):
+            if given.hash != content:
+                what = "those of another object of that name"
+            elif given.gripper != self._robot.gripper.hash:
+                what = f"those of another gripper than {self._robot.name}'s"
+            else:
+                return given
+        raise ConfigError(f"`grasps` of {asset.name}: {what}", "grasps of this object", _HINT)
+
+
+def _read_plain(path: Path) -> dict[str, Any]:
+    """Pairs of poses and widths by object; None for each object of a file of `robot grasps`."""
+    try:
+        table = pq.read_table(path)
+        names = np.array(table["object"].to_pylist())
+        if b"cluttergen_grasps" in (table.schema.metadata or {}):
+            return dict.fromkeys(names.tolist())
+        columns = [np.array(table[each].to_pylist(), np.float64) for each in ("pose", "width")]
+        return {
+            name: [each[names == name] for each in columns]
+            for name in dict.fromkeys(names.tolist())
+        }
+    except (pa.ArrowException, OSError, KeyError, ValueError, TypeError) as error:
+        allowed = "a Parquet file with columns object, pose (7 numbers) and width, or one of `robot grasps`"
+        raise PoolError(f"{path}: no grasps can be read ({error})", allowed, _HINT) from error
+
+
+def _make_grasps(name: str, content: str, given: Any, robot: RobotDescription) -> Grasps:
+    widest = 2 * gripper_of(robot).max_opening
+    try:
+        pose, width = (array_of(each).astype(np.float64) for each in given)
+        if pose.ndim == 3:
+            if pose.shape[1:] != (4, 4) or not np.isfinite(pose).all():
+                raise ValueError(f"poses of shape {pose.shape}, or not finite")
+            turn = pose[:, :3, :3]
+            if (
+                np.abs(turn @ turn.mT - np.eye(3)).max(initial=0) > _UNIT
+                or (np.linalg.det(turn) < 0).any()
+            ):
+                raise ValueError("poses that are no rigid transforms")
+            pose = pose_of(pose)
+        if pose.ndim != 2 or pose.shape[1] != 7 or width.shape != (len(pose),) or not len(pose):
+            raise ValueError(f"poses of shape {pose.shape}, widths of shape {width.shape}")
+        if not (np.isfinite(pose).all() and ((width >= 0) & (width <= widest)).all()):
+            raise ValueError("numbers that are not finite, or a width out of range")
+        if np.abs(np.linalg.norm(pose[:, 3:], axis=1) - 1).max() > _UNIT:
+            raise ValueError("quaternions that are not of length 1")
+    except (ValueError, TypeError) as error:
+        allowed = (
+            f"poses f[G, 7] or f[G, 4, 4], T_object_tool, metres, and widths f[G], 0 to {widest:g} m, "
+            "G at least 1, all finite"
+        )
+        raise ConfigError(f"`grasps` of {name}: {error}", allowed, _HINT) from error
+    nothing = np.zeros(len(pose))
+    # As if the object stayed where it is between the fingers.
+    held = pose_of(inverse(matrix_of(pose)))
+    tested = (nothing, nothing, nothing, nothing, nothing == 0, 0)
+    return Grasps(name, content, pose, width, *tested, held, robot.gripper.hash)
+
+
+_MOST = 24
+"""Of an object: more hide it."""
+# Metres from the tips to the palm, and of the line behind it.
+_FINGER = 0.045
+_STEM = 0.035
+
+_RADIUS = 0.0012
+_WEAK = np.array([0.85, 0.35, 0.1])
+_STRONG = np.array([0.1, 0.55, 0.25])
+
+
+def grasp_trails(grasps: Grasps, most: int = _MOST) -> list[Trail]:
+    """Lines in the object's frame: of `most` grasps at most, evenly through their list.
+
+    Green ones held `MAX_LOAD` times the object's weight, red ones hardly more than once.
+    """
+    number = min(most, len(grasps))
+    trails = []
+    for k in np.linspace(0, len(grasps) - 1, number).round().astype(int):
+        T_object_tool = matrix_of(grasps.pose[k])
+        half = grasps.width[k] / 2
+        fork = np.array([[0, -half, 0], [0, -half, -_FINGER], [0, half, -_FINGER], [0, half, 0]])
+        stem = np.array([[0, 0, -_FINGER], [0, 0, -_FINGER - _STEM]])
+        share = float(np.clip((grasps.margin[k] - 1) / (MAX_LOAD - 1), 0, 1))
+        red, green, blue = (_WEAK + share * (_STRONG - _WEAK)).tolist()
+        for line in (fork, stem):
+            points = line @ T_object_tool[:3, :3].T + T_object_tool[:3, 3]
+            trails.append(Trail(points, (red, green, blue), radius=_RADIUS))
+    return trails
+
+
+def grasp_sheet(
+    objects: Sequence[ObjectAsset], sets: Iterable[Grasps], columns: int = 4, samples: int = 16
+) -> np.ndarray:
+    """u8[H, W, 3]: a contact sheet of objects with grasps about each, and how many there are.
+
+    Args:
+      sets: of each object, in their order.
+    """
+    images = []
+    captions = []
+    for asset, grasps in zip(objects, sets, strict=True):
+        trails = grasp_trails(grasps)
+        images.append(render_object(asset, width=320, height=320, samples=samples, trails=trails))
+        captions.append(f"{asset.name} (grasps: {len(grasps)}, low: {int(grasps.is_low.sum())})")
+    return contact_sheet(images, captions, columns)

@@ -49,7 +49,7 @@ def rank_grasps(grasps: Grasps, T_world_object: np.ndarray, gripper: Gripper) ->
         for turn in (np.eye(4), _FLIP):
             width = float(grasps.width[index])
             lever = float(levers[index])
-            opening = float(gripper.opening_of(np.array(width)))
+            opening = float(gripper.opening_of(width))
             yield Grip(pose[index] @ turn, turn @ held[index], width, opening, lever)
 
 

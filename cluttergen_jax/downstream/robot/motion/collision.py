@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
 from enum import IntEnum
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -17,12 +18,88 @@ from cluttergen_jax.assets import (
     populated_spec,
 )
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
+from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.robot.model import Robot, arm_spec, attach_robot, remove_drawings
-from cluttergen_jax.downstream.robot.motion.occupancy_boxes import OccupancyBoxes
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
 from cluttergen_jax.geometry import yaw_quaternion
+from cluttergen_jax.placement import VOID
+from cluttergen_jax.sensing import PartialMap
+
+CELL = 0.005
+"""Metres: the sides of a cell of the map that the arm is planned in."""
+THIN = 0.005
+"""Metres above the top from which on something is taken to stand there: depth cameras are not more exact."""
+_BAND = 0.005
+"""Metres that heights within one box may differ by; the box has the highest."""
+
+
+class OccupancyBoxes(NamedTuple):
+    """Boxes from the support's top upwards, world frame.
+
+    Attributes:
+      seen: up to the highest surface that was seen. hidden: up to where it was seen to be empty.
+    """
+
+    seen: tuple[Box, ...]
+    hidden: tuple[Box, ...]
+
+
+def occupancy_boxes(found: PartialMap) -> OccupancyBoxes:
+    """The columns of a map: all that was not seen to be empty counts as taken."""
+    is_on = found.grid.bare > VOID
+    seen = np.where(is_on & (found.height > THIN), found.height, 0.0)
+    hidden = np.where(is_on & ~found.is_seen, found.ceiling, 0.0)
+    return OccupancyBoxes(tuple(_boxes(seen, found)), tuple(_boxes(hidden, found)))
+
+
+def _boxes(height: np.ndarray, found: PartialMap) -> Iterator[Box]:
+    """Boxes that cover heights f[W, H] above 0: runs of like cells, joined with those of the next row."""
+    open_runs: dict[tuple[int, int], tuple[int, float, float]] = {}
+    for row in range(len(height) + 1):
+        runs = _runs(height[row]) if row < len(height) else {}
+        for span, (first, low, high) in list(open_runs.items()):
+            if span in runs and max(high, runs[span][1]) - min(low, runs[span][0]) <= _BAND:
+                more = runs.pop(span)
+                open_runs[span] = first, min(low, more[0]), max(high, more[1])
+            else:
+                del open_runs[span]
+                yield _box(found, (first, row), span, high)
+        open_runs |= {span: (row, low, high) for span, (low, high) in runs.items()}
+
+
+def _runs(row: np.ndarray) -> dict[tuple[int, int], tuple[float, float]]:
+    """First cell and the one after the last of runs of like heights above 0: the least and the greatest."""
+    runs = {}
+    first = 0
+    while first < len(row):
+        end = first + 1
+        low = float(row[first])
+        high = float(row[first])
+        while low > 0 and end < len(row) and row[end] > 0:
+            lower = min(low, float(row[end]))
+            higher = max(high, float(row[end]))
+            if higher - lower > _BAND:
+                break
+            end = end + 1
+            low = lower
+            high = higher
+        if low > 0:
+            runs[first, end] = low, high
+        first = end
+    return runs
+
+
+def _box(found: PartialMap, rows: tuple[int, int], span: tuple[int, int], height: float) -> Box:
+    grid = found.grid
+    T = found.grid.T_world_region
+    ends = grid.corner + np.array([rows, span], np.float64).T * grid.cell
+    middle = T[:3, :3] @ np.array([*ends.mean(0), height / 2]) + T[:3, 3]
+    half = (ends[1] - ends[0]) / 2
+    yaw = float(np.arctan2(T[1, 0], T[0, 0]))
+    x, y, z = middle.tolist()
+    return Box((x, y, z), (float(half[0]), float(half[1]), height / 2), yaw)
+
 
 CLEARANCE = 0.005
 """Metres that everything that moves keeps from everything else on its way."""
@@ -32,7 +109,7 @@ APART = 0.003
 """Metres that what is held keeps from neighbours where it is asked to."""
 ROOM = 0.004
 """Metres that the hand and what it holds keep besides from objects that may be off by as much."""
-ROOMS = (ROOM, ROOM / 2, 0.0)
+ROOMS: tuple[float, ...] = (ROOM, ROOM / 2, 0.0)
 """The same, in the order of trying."""
 SELF_CLEARANCE = 0.002
 """Metres that the links of the arm keep from each other, the hand, and what it holds."""
@@ -84,33 +161,37 @@ class Mode(IntEnum):
 def _thresholds() -> np.ndarray:
     """f64[modes, kinds, kinds]: metres below which a pair of geoms is too close."""
     limit = np.full((len(Mode), len(Kind), len(Kind)), CLEARANCE)
+
+    def put(modes: Collection[Mode], a: Kind, b: Kind, least: float) -> None:
+        for mode in modes:
+            limit[mode, a, b] = limit[mode, b, a] = least
+
     moving = (Kind.ARM, Kind.HAND, Kind.HELD)
     for a in moving:
         for b in moving:
             # Fingers may touch each other and press on what they hold; no link may touch anything.
             limit[:, a, b] = SELF_CLEARANCE if Kind.ARM in (a, b) else 0.0 if a == b else -np.inf
-    for mode in set(Mode) - {Mode.TRAVEL}:
-        for other in (Kind.GROUND, Kind.OTHER):
-            limit[mode, Kind.HAND, other] = limit[mode, other, Kind.HAND] = NEAR
-        limit[mode, Kind.HAND, Kind.GROUND] = limit[mode, Kind.GROUND, Kind.HAND] = _SAG
-        limit[mode, Kind.HAND, Kind.TARGET] = limit[mode, Kind.TARGET, Kind.HAND] = NEAR
+    near = set(Mode) - {Mode.TRAVEL}
+    put(near, Kind.HAND, Kind.OTHER, NEAR)
+    put(near, Kind.HAND, Kind.GROUND, _SAG)
+    put(near, Kind.HAND, Kind.TARGET, NEAR)
+    put([Mode.CARRY], Kind.HELD, Kind.GROUND, _DIP)
+    put([Mode.CARRY], Kind.HELD, Kind.OTHER, _TOUCH)
     for other in (Kind.GROUND, Kind.OTHER):
-        for mode, least in ((Mode.CARRY, _TOUCH), (Mode.CLEAR, NEAR), (Mode.APART, APART)):
-            limit[mode, Kind.HELD, other] = limit[mode, other, Kind.HELD] = least
-    limit[Mode.CARRY, Kind.HELD, Kind.GROUND] = limit[Mode.CARRY, Kind.GROUND, Kind.HELD] = _DIP
+        put([Mode.CLEAR], Kind.HELD, other, NEAR)
+        put([Mode.APART], Kind.HELD, other, APART)
     # Of columns the whole clearance is kept, but for what is lowered where a placer wants it.
-    for other, least in ((Kind.SEEN, _BLUR), (Kind.HIDDEN, -np.inf)):
-        for mode in (Mode.CARRY, Mode.CLEAR):
-            limit[mode, Kind.HELD, other] = limit[mode, other, Kind.HELD] = least
+    put([Mode.CARRY, Mode.CLEAR], Kind.HELD, Kind.SEEN, _BLUR)
+    put([Mode.CARRY, Mode.CLEAR], Kind.HELD, Kind.HIDDEN, -np.inf)
     return limit
 
 
 def _roomy() -> np.ndarray:
     """bool[kinds, kinds]: the pairs that keep more where objects may be off from where they are said."""
     pairs = np.zeros((len(Kind), len(Kind)), bool)
-    for a, b in ((Kind.HAND, Kind.OTHER), (Kind.HELD, Kind.OTHER), (Kind.HAND, Kind.TARGET)):
-        pairs[a, b] = pairs[b, a] = True
-    return pairs
+    pairs[Kind.HAND, [Kind.OTHER, Kind.TARGET]] = True
+    pairs[Kind.HELD, Kind.OTHER] = True
+    return pairs | pairs.T
 
 
 _LIMIT = _thresholds()
@@ -125,10 +206,9 @@ class PlanningWorld:
     Args:
       names, objects: N of the scene; poses: f64[N, 7], T_world_object.
       target: the number of the object that is to be moved.
-      base: f64[7], T_world_base.
+      base: f64[7], T_world_base, of the `robot`.
       stands: more boxes that objects can stand on.
       columns: boxes in place of objects of which no more is known than what was seen, and where it may hide.
-      robot: that stands at `base`; the Panda if not given.
 
     Attributes:
       room: metres that the hand and what it holds keep besides from objects, `ROOM` at most.
@@ -143,11 +223,10 @@ class PlanningWorld:
         target: int,
         support: SupportAsset,
         base: np.ndarray,
+        robot: RobotDescription,
         stands: Sequence[Box] = (),
         columns: OccupancyBoxes | None = None,
-        robot: RobotDescription | None = None,
     ) -> None:
-        robot = robot or find_robot()
         contact = ContactConfig()
         spec = populated_spec(
             names, objects, support, StabilityConfig().timestep, contact, poses=poses
@@ -190,9 +269,8 @@ class PlanningWorld:
         kind = kinds_of(self.arm, self._bodies, self._target)
         kind[self._held] = Kind.HELD
         for each in _COLUMN_KINDS:
-            if (
-                body := mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, _name_of(each))
-            ) >= 0:
+            body = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, _name_of(each))
+            if body >= 0:
                 kind[body] = each
         return kind[self.model.geom_bodyid]
 

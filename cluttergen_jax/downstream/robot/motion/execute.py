@@ -18,7 +18,7 @@ from cluttergen_jax.downstream.robot.description import RobotDescription, find_r
 from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.robot.model import Robot, with_robot
 from cluttergen_jax.downstream.robot.motion.collision import Kind, add_stand, kinds_of
-from cluttergen_jax.downstream.robot.motion.plan import SHARE, Trajectory, time_path
+from cluttergen_jax.downstream.robot.motion.plan import SHARE, time_path
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.scene import Scene
@@ -209,13 +209,10 @@ class Execution:
         mujoco.mj_kinematics(self.model, self.data)
         return cast_rays(self.model, self.data, camera, _DRAWN)[0]
 
-    def motion_along(self, path: np.ndarray, share: float = SHARE) -> Trajectory:
-        """The fastest motion along joints f64[L, n] within a share of the arm's limits (`plan.time_path`)."""
-        limits = self.robot.arm
-        return time_path(path, self.step_time, limits.speed, limits.acceleration, share)
-
-    def follow(self, motion: Trajectory, phase: Phase, until_touch: bool = False) -> bool:
-        """Runs along a motion.
+    def follow(
+        self, path: np.ndarray, phase: Phase, share: float = SHARE, until_touch: bool = False
+    ) -> bool:
+        """Runs along joints f64[L, n], as fast as a share of the arm's limits allows (`plan.time_path`).
 
         Args:
           until_touch: stops where the hand feels that what it holds presses on something harder than
@@ -227,6 +224,8 @@ class Execution:
         Raises:
           Failed: an unplanned contact pressed harder than `MAX_FORCE`.
         """
+        limits = self.robot.arm
+        motion = time_path(path, self.step_time, limits.speed, limits.acceleration, share)
         # A servo with damping trails behind a moving set-point by a known time.
         points = motion.joints + self.arm.lag * motion.speed
         end = motion.joints[-1]

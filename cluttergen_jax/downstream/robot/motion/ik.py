@@ -12,9 +12,12 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from cluttergen_jax.config import ContactConfig
-from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
+from cluttergen_jax.downstream.robot.description import (
+    EXTRA,
+    RobotDescription,
+    compile_model,
+)
 from cluttergen_jax.downstream.robot.model import TOOL, Robot, arm_spec
-from cluttergen_jax.downstream.robot.model_files import EXTRA, compile_model
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
 from cluttergen_jax.errors import ConfigError, MissingExtraError
 
@@ -49,12 +52,12 @@ class ArmKinematics:
     """An arm of n joints alone, its base where it stands.
 
     Args:
-      base: f64[7], T_world_base. robot: the Panda if not given.
+      base: f64[7], T_world_base. robot: whose arm it is.
     """
 
-    def __init__(self, base: np.ndarray, robot: RobotDescription | None = None) -> None:
+    def __init__(self, base: np.ndarray, robot: RobotDescription) -> None:
         mink = import_extra("mink", "inverse kinematics")
-        self._robot = robot or find_robot()
+        self._robot = robot
         model, arm = _arm(self._robot)
         self._solve_ik: Any = mink.solve_ik
         self._SE3: Any = mink.SE3

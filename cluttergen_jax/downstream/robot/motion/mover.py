@@ -13,7 +13,7 @@ from cluttergen_jax.downstream.robot.motion.collision import ROOM, ROOMS, Mode, 
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.motion.ik import LINE_STEP, ArmKinematics
 from cluttergen_jax.downstream.robot.motion.plan import PickPlan, PlacePlan, Planner
-from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.robot.outcome import Failed, Outcome, told_motion
 from cluttergen_jax.downstream.robot.protocols import PathPlanner
 from cluttergen_jax.downstream.transforms import (
     angle_between,
@@ -172,13 +172,13 @@ class Mover:
         run = self.execution
         self._opening = plan.grip.opening
         run.move_fingers(self._opening, Phase.FREE, 0.2)
-        run.follow(run.motion_along(plan.path), Phase.FREE)
-        run.follow(run.motion_along(plan.come, CARRY_SHARE), Phase.FREE)
+        run.follow(plan.path, Phase.FREE)
+        run.follow(plan.come, Phase.FREE, CARRY_SHARE)
         run.wait(0.1, Phase.FREE)
         run.close()
         self._grasped = before = self._in_hand()
         first, rest = self.kinematics.split(plan.lift, TOUCH)
-        run.follow(run.motion_along(first, CARRY_SHARE), Phase.TOUCH)
+        run.follow(first, Phase.TOUCH, CARRY_SHARE)
         self._carry(rest, before)
 
     def _hand_fits(
@@ -325,10 +325,10 @@ class Mover:
         upper, last = self.kinematics.split(lower, FELT if feels else TOUCH, from_end=True)
         if not feels:
             self._carry(upper, self._T_tool_object, rest=0.0)
-        elif run.follow(run.motion_along(upper, GENTLE_SHARE), Phase.TOUCH, until_touch=True):
+        elif run.follow(upper, Phase.TOUCH, GENTLE_SHARE, until_touch=True):
             self._rise(self.kinematics.tool(upper[0])[2, 3] - run.tool[2, 3], Phase.TOUCH)
             raise Failed(Outcome.SLIP, "it touched something too early")
-        run.follow(run.motion_along(last, CARRY_SHARE / 2), Phase.TOUCH, feels)
+        run.follow(last, Phase.TOUCH, CARRY_SHARE / 2, feels)
         run.wait(0.2, Phase.TOUCH)
         self._in_hand()
         if feels:
@@ -337,9 +337,9 @@ class Mover:
         begin, end = (self.kinematics.tool(leave[each])[:3, 3] for each in (0, -1))
         line = self.kinematics.line(run.set_point, end - begin)
         first, rest = self.kinematics.split(leave if line is None else line, TOUCH)
-        run.follow(run.motion_along(first, CARRY_SHARE), Phase.GRASP)
+        run.follow(first, Phase.GRASP, CARRY_SHARE)
         # What hung askew rocks: the fingers may brush it until they are clear of it.
-        run.follow(run.motion_along(rest), Phase.GRASP if feels else Phase.FREE)
+        run.follow(rest, Phase.GRASP if feels else Phase.FREE)
 
     def _widest(self, leave: np.ndarray, place: np.ndarray) -> float:
         """How far the fingers can open and leave: what hung askew between them rocks as it is let go."""
@@ -378,9 +378,9 @@ class Mover:
 
     def _rise(self, height: float, phase: Phase) -> None:
         run = self.execution
-        path = self.kinematics.line(self.execution.set_point, height * _UP)
+        path = self.kinematics.line(run.set_point, height * _UP)
         if path is not None:
-            run.follow(run.motion_along(path, CARRY_SHARE), phase)
+            run.follow(path, phase, CARRY_SHARE)
 
     def go_home(self) -> bool:
         """Brings the empty hand back to where it starts; whether there was a path."""
@@ -390,7 +390,7 @@ class Mover:
         home = self.kinematics.home
         path = self.planner.connect(run.set_point, home, self._opening, next(self._seeds))
         if path is not None:
-            run.follow(run.motion_along(path), Phase.FREE)
+            run.follow(path, Phase.FREE)
         return path is not None
 
     # What both need
@@ -440,7 +440,7 @@ class Mover:
         """Moves what is held; where it touches something because it slipped, the slip is the cause."""
         try:
             share = GENTLE_SHARE if self._feels else CARRY_SHARE
-            self.execution.follow(self.execution.motion_along(path, share), Phase.CARRY)
+            self.execution.follow(path, Phase.CARRY, share)
             self.execution.wait(rest, Phase.CARRY)
         except Failed:
             self._check_slip(before, TOUCH / 2)
@@ -450,10 +450,10 @@ class Mover:
     def _check_slip(self, before: np.ndarray, most: float = MAX_SLIP) -> None:
         now = self._in_hand()
         # Of the object's point that was between the fingers.
-        moved = np.linalg.norm((now @ inverse(before))[:3, 3])
+        moved = float(np.linalg.norm((now @ inverse(before))[:3, 3]))
         turned = float(angle_between(now, before))
         if moved > most or turned > MAX_TURN:
-            raise Failed(Outcome.SLIP, f"{1e3 * moved:.0f} mm, {np.degrees(turned):.0f} deg")
+            raise Failed(Outcome.SLIP, told_motion(moved, turned))
 
 
 def _tool_at(place: np.ndarray, T_tool_object: np.ndarray) -> np.ndarray:

@@ -66,9 +66,9 @@ class Planner:
         self, world: PlanningWorld, kinematics: ArmKinematics, own: PathPlanner | None = None
     ) -> None:
         self._own = own
-        self._ob: Any = import_extra("ompl.base", "motion planning")
-        self._og: Any = import_extra("ompl.geometric", "motion planning")
-        self._util: Any = import_extra("ompl.util", "motion planning")
+        names = ("base", "geometric", "util")
+        parts: list[Any] = [import_extra(f"ompl.{name}", "motion planning") for name in names]
+        self._ob, self._og, self._util = parts
         # It prints what it does, and it warns of each new seed.
         self._util.setLogLevel(self._util.LogLevel.LOG_NONE)
         self.world = world

@@ -1,1 +1,0 @@
-"""Placers side by side: what becomes of what they propose, as figures and tables."""

@@ -1,1 +1,0 @@
-"""Heads: what learns from pairs and proposes poses, and the trained ones on disk."""
