@@ -9,7 +9,7 @@ from cluttergen_jax.assets.config import NUM_TRIALS
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.config import check_positive
 from cluttergen_jax.errors import AssetError, ClutterGenError
-from cluttergen_jax.importing.processes import most_memory
+from cluttergen_jax.importing.limited import most_memory
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, read_shape
 from cluttergen_jax.importing.readers.read import MAX_FURNITURE, MAX_SIZE
 from cluttergen_jax.importing.readers.source import states_unit

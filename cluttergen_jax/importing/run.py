@@ -31,8 +31,8 @@ from cluttergen_jax.files import writing
 from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.cache import NOTE, outside_note
 from cluttergen_jax.importing.job import NUM_TRIES, Job, ObjectConfig, make_job, next_try
+from cluttergen_jax.importing.limited import Crew, Outcome, Watch
 from cluttergen_jax.importing.planning import YCB, Failure, Planned, name_distinctly, plan_all
-from cluttergen_jax.importing.processes import Crew, Outcome, Watch
 from cluttergen_jax.importing.readers import ObjectFile, Skipped
 from cluttergen_jax.importing.readers.read import public_path
 from cluttergen_jax.importing.readers.source import UpAxis
@@ -68,7 +68,7 @@ def _outcomes(
         with closing(crew):
             yield from crew.outcomes(jobs)
         return
-    # One thread each, as in processes of this machine (`processes`).
+    # One thread each, as in processes of this machine (`limited`).
     settings = {"OMP_NUM_THREADS": "1"}
     lost = Outcome(fault=f"its worker on the cluster ended, {MOST_DEATHS} times")
     make = partial(_maker, config.time_limit)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from cluttergen_jax.importing.job import Job, make_job
-from cluttergen_jax.importing.processes import Outcome
+from cluttergen_jax.importing.limited import Outcome
 from cluttergen_jax.importing.run import ImportConfig, Watch
 
 

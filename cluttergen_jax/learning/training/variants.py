@@ -12,7 +12,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.config import check_workers
 from cluttergen_jax.errors import AssetError, ClutterGenError, ConfigError, PoolError
 from cluttergen_jax.importing import cache
-from cluttergen_jax.importing.processes import run_all
+from cluttergen_jax.importing.limited import run_all
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.progress import Progress
 
