@@ -17,7 +17,7 @@ import numpy as np
 from cluttergen_jax.config import Detector, StabilityConfig, VerifyConfig, check_positive
 from cluttergen_jax.errors import AssetError, ConfigError
 from cluttergen_jax.geometry import rotate
-from cluttergen_jax.importing.readers.mjcf_geoms import geom_mesh, geom_rgba, is_convex, is_plane
+from cluttergen_jax.importing.readers.mjcf import geom_mesh, geom_rgba, is_convex, is_plane
 from cluttergen_jax.importing.readers.model import convex_parts
 from cluttergen_jax.physics.margin import MIN_LIFT
 from cluttergen_jax.physics.standing import has_moved, horizons_of, keep_awake, watch

@@ -18,8 +18,8 @@ from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.geometry import rotation_matrix, transform_points
+from cluttergen_jax.importing.readers.mjcf import Roles, geom_mesh, geom_piece, roles_of
 from cluttergen_jax.importing.readers.mjcf_compile import compile_with_notes
-from cluttergen_jax.importing.readers.mjcf_geoms import Roles, geom_mesh, geom_piece, roles_of
 from cluttergen_jax.scene.scene import Scene
 
 _FLAT = 0.01

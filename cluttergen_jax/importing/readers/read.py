@@ -27,9 +27,8 @@ from cluttergen_jax.importing.readers.source import (
     turn_of,
 )
 from cluttergen_jax.importing.readers.things import read_thing
-from cluttergen_jax.importing.readers.tree import find_sources
+from cluttergen_jax.importing.readers.tree import find_sources, ycb_provenance
 from cluttergen_jax.importing.readers.urdf import read_urdf
-from cluttergen_jax.importing.readers.ycb_scans import ycb_provenance
 
 MIN_SIZE = 0.005
 MAX_SIZE = 2.0
