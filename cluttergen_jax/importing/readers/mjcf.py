@@ -13,9 +13,10 @@ Pictures are laid on as uv of one image:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import mujoco
@@ -185,6 +186,8 @@ def _pieces(faces: np.ndarray, middles: np.ndarray) -> np.ndarray:
 
 _RGB = mujoco.mjtTextureRole.mjTEXROLE_RGB
 _PROJECTED = (_GEOM.mjGEOM_MESH, _GEOM.mjGEOM_SDF, _GEOM.mjGEOM_HFIELD)
+_NOT_CONVEX = (_GEOM.mjGEOM_PLANE, _GEOM.mjGEOM_HFIELD, _GEOM.mjGEOM_SDF)
+_ROUND = (_GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_CAPSULE)
 _DISK = 0.9
 """Cosine between z and a triangle's normal above which it belongs to a cylinder's disk."""
 _SHOWN = np.arange(256) / 255
@@ -192,65 +195,263 @@ _AS_LIGHT = np.round(
     255 * np.where(_SHOWN <= 0.04045, _SHOWN / 12.92, ((_SHOWN + 0.055) / 1.055) ** 2.4)
 ).astype(np.uint8)
 """What sRGB says of each value of 8 bits."""
+_FARTHEST = 1e6
+"""Metres; beyond, the arithmetic of hulls breaks down."""
+# What MuJoCo takes for "no colour given": a material's colour holds then.
+_DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], np.float32)
+_NUM_SEEN_GROUPS = 3
 
 
-def picture_id(model: mujoco.MjModel, geom: int) -> int:
-    """The picture of a geom's material that gives its colours; -1 if there is none that MuJoCo can draw."""
-    material = int(model.geom_matid[geom])
-    index = int(model.mat_texid[material, _RGB]) if material >= 0 else -1
-    return index if index >= 0 and model.tex_nchannel[index] >= 3 else -1
+@dataclass(frozen=True, eq=False)
+class _Picture:
+    """A picture of a model that gives colours."""
+
+    model: mujoco.MjModel
+    index: int
+
+    @property
+    def is_2d(self) -> bool:
+        return bool(self.model.tex_type[self.index] == mujoco.mjtTexture.mjTEXTURE_2D)
+
+    @property
+    def is_darker(self) -> bool:
+        """Whether MuJoCo turns its colours into amounts of light, which it then shows as they are."""
+        is_marked = self.model.tex_colorspace[self.index] == mujoco.mjtColorSpace.mjCOLORSPACE_SRGB
+        return self.is_2d and bool(is_marked)
+
+    @cached_property
+    def pixels(self) -> np.ndarray:
+        """u8[H, W, 3]; of a cube map with six pictures one below the other, H = 6 W."""
+        of = self.model
+        shape = [int(n[self.index]) for n in (of.tex_height, of.tex_width, of.tex_nchannel)]
+        start = int(of.tex_adr[self.index])
+        pixels = of.tex_data[start : start + math.prod(shape)].reshape(shape)
+        pixels = np.ascontiguousarray(pixels[..., :3])
+        return _AS_LIGHT[pixels] if self.is_darker else pixels
+
+    @property
+    def flat_colour(self) -> np.ndarray | None:
+        """f64[3], in [0, 1]: its colour if it has one alone; None if it has several."""
+        pixels = self.pixels.reshape(-1, 3)
+        return pixels[0] / 255 if (pixels == pixels[0]).all() else None
 
 
-def flat_colour(model: mujoco.MjModel, picture: int) -> np.ndarray | None:
-    """f64[3], in [0, 1]: the colour of a picture that has one alone; None if it has several."""
-    pixels = _pixels(model, picture).reshape(-1, 3)
-    return pixels[0] / 255 if (pixels == pixels[0]).all() else None
+@dataclass(frozen=True, eq=False)
+class Geom:
+    """A geom of a model, where `data` has it."""
 
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    index: int
 
-def picture_notes(model: mujoco.MjModel, geoms: Iterable[int]) -> Iterator[str]:
-    """Where the look of geoms is not what their files alone let one expect."""
-    for geom in geoms:
-        if (picture := picture_id(model, geom)) < 0:
-            continue
-        name = model.texture(picture).name
-        material = int(model.geom_matid[geom])
-        if _is_darker(model, picture):
+    @cached_property
+    def kind(self) -> mujoco.mjtGeom:
+        """As a member of the enum: the model's own integers are not found `in` a tuple of them."""
+        return _GEOM(int(self.model.geom_type[self.index]))
+
+    @property
+    def is_plane(self) -> bool:
+        """Of the kinds that a file can hold, the one without an inside."""
+        return self.kind == _GEOM.mjGEOM_PLANE
+
+    @property
+    def is_convex(self) -> bool:
+        """Whether MuJoCo collides it as a convex body: a mesh counts as its hull."""
+        return self.kind not in _NOT_CONVEX
+
+    @property
+    def is_visible(self) -> bool:
+        """Whether MuJoCo draws it if nobody asks for other groups."""
+        return int(self.model.geom_group[self.index]) < _NUM_SEEN_GROUPS and self.rgba[3] > 0
+
+    @cached_property
+    def collides(self) -> bool:
+        """Whether it can touch another, by its bits or because a pair names it."""
+        of = self.model
+        is_paired = self.index in of.pair_geom1 or self.index in of.pair_geom2
+        return bool(of.geom_contype[self.index] or of.geom_conaffinity[self.index]) or is_paired
+
+    @property
+    def rgba(self) -> tuple[float, float, float, float]:
+        """The colour that MuJoCo draws it in: its own if it has one, else its material's."""
+        own = self.model.geom_rgba[self.index]
+        is_given = self._material < 0 or not np.array_equal(own, _DEFAULT_RGBA)
+        r, g, b, a = (own if is_given else self.model.mat_rgba[self._material]).tolist()
+        return (r, g, b, a)
+
+    @property
+    def called(self) -> str:
+        """Its name, or else its kind."""
+        kind = self.kind.name.removeprefix("mjGEOM_").lower()
+        name = self.model.geom(self.index).name
+        return repr(name) if name else f"a {kind}"
+
+    def piece(self, max_side: int = MAX_TEXTURE) -> Piece:
+        """Its surface in the world frame, with its colour, and its picture as MuJoCo lays it on.
+
+        What is asked for although its alpha is 0, because nothing else is seen, is drawn opaque.
+        """
+        r, g, b, alpha = self.rgba
+        colour = (r, g, b, alpha or 1.0)
+        if (picture := self._picture) is None:
+            return Piece(self.mesh(), colour)
+        if (flat := picture.flat_colour) is not None:
+            r, g, b = (flat * colour[:3]).tolist()
+            return Piece(self.mesh(), (r, g, b, colour[3]))
+        if not picture.is_2d and self._has_own_places:
+            # MuJoCo does not draw it.
+            return Piece(self.mesh(), colour)
+        mesh, uv, texture = self._with_picture(picture, max_side)
+        return Piece(self._place(mesh), colour, uv, texture)
+
+    def mesh(self, sections: int = 32) -> Mesh:
+        """Its surface in the world frame.
+
+        Raises:
+          AssetError: it is a plane, or out of all bounds.
+        """
+        return self._place(self._own_mesh(sections))
+
+    def notes(self) -> Iterator[str]:
+        """Where its look is not what its file alone lets one expect."""
+        if (picture := self._picture) is None:
+            return
+        name = self.model.texture(picture.index).name
+        if picture.is_darker:
             yield f"its image {name!r} is marked as sRGB: it is as dark as MuJoCo draws it"
-        if not _has_own_places(model, geom):
-            continue
-        if not _is_2d(model, picture):
+        if not self._has_own_places:
+            return
+        repeat = self.model.mat_texrepeat[self._material]
+        if not picture.is_2d:
             yield f"its image {name!r} is a cube map on texture coordinates: not drawn, as in MuJoCo"
-        elif model.mat_texuniform[material] or (model.mat_texrepeat[material] != 1).any():
+        elif self._is_uniform or (repeat != 1).any():
             yield "its texture coordinates are taken as they are, without texrepeat"
 
+    @property
+    def _material(self) -> int:
+        return int(self.model.geom_matid[self.index])
 
-def with_picture(
-    model: mujoco.MjModel, geom: int, mesh: Mesh, picture: int, max_side: int
-) -> tuple[Mesh, np.ndarray, Texture] | None:
-    """A geom's surface with its picture.
+    @property
+    def _asset(self) -> int:
+        """Its mesh, or height field."""
+        return int(self.model.geom_dataid[self.index])
 
-    Args:
-      mesh: the surface in the geom's own frame.
-      max_side: pixels; larger images are shrunk.
+    @property
+    def _is_uniform(self) -> bool:
+        return bool(self.model.mat_texuniform[self._material])
 
-    Returns:
-      The same surface, each triangle with vertices of its own; f64[V, 2], their uv; the image. None for a
-      cube map on a mesh that has texture coordinates: MuJoCo does not draw it.
-    """
-    pixels = _pixels(model, picture)
-    is_mapped = _has_own_places(model, geom)
-    if _is_2d(model, picture):
-        corners = Mesh(mesh.vertices[mesh.faces.ravel()], np.arange(3 * len(mesh.faces)))
-        places = _own_places(model, geom) if is_mapped else _flat_places(model, geom, corners)
-        return corners, places * [1, -1] + [0, 1], _texture(pixels, max_side)
-    if is_mapped:
-        return None
-    width = pixels.shape[1]
-    image = one_image(np.broadcast_to(pixels.reshape(-1, width, width, 3), (6, width, width, 3)))
-    is_one = image.shape[1] == width
-    side = min(width, max_side if is_one else max_side // 3)
-    mesh, uv = wrap_cube_map(mesh, _directions(model, geom, mesh.vertices), is_one, side)
-    return mesh, uv, _texture(image, max_side)
+    @cached_property
+    def _picture(self) -> _Picture | None:
+        """Its material's, if that is one that MuJoCo can draw."""
+        index = int(self.model.mat_texid[self._material, _RGB]) if self._material >= 0 else -1
+        is_drawn = index >= 0 and self.model.tex_nchannel[index] >= 3
+        return _Picture(self.model, index) if is_drawn else None
+
+    @property
+    def _has_own_places(self) -> bool:
+        """Whether it is a mesh with texture coordinates."""
+        is_mesh = self.kind == _GEOM.mjGEOM_MESH
+        return is_mesh and bool(self.model.mesh_texcoordnum[self._asset] > 0)
+
+    def _own_mesh(self, sections: int = 32) -> Mesh:
+        """Its surface in its own frame."""
+        size = self.model.geom_size[self.index]
+        match self.kind:
+            # Of an SDF, MuJoCo makes a mesh when it compiles the file.
+            case _GEOM.mjGEOM_MESH | _GEOM.mjGEOM_SDF:
+                return _mesh_asset(self.model, self._asset)
+            case _GEOM.mjGEOM_HFIELD:
+                return _height_field(self.model, self._asset)
+            case _GEOM.mjGEOM_BOX:
+                return primitives.box(size)
+            case _GEOM.mjGEOM_CYLINDER:
+                return primitives.cylinder(size[0], size[1], sections)
+            case _GEOM.mjGEOM_CAPSULE:
+                return primitives.capsule(size[0], size[1])
+            case _GEOM.mjGEOM_ELLIPSOID:
+                return primitives.ellipsoid(size)
+            case _GEOM.mjGEOM_SPHERE:
+                return primitives.ellipsoid(np.full(3, size[0]))
+        given = f"a geom of type {self.kind.name}"
+        raise AssetError(given, "geoms with an inside: all kinds but planes")
+
+    def _place(self, mesh: Mesh) -> Mesh:
+        """A mesh of its frame, in the world frame; AssetError where that is out of all bounds."""
+        turn = self.data.geom_xmat[self.index].reshape(3, 3)
+        mesh = mesh.transform(turn, self.data.geom_xpos[self.index])
+        # A number that is NaN compares as no.
+        if not (np.abs(mesh.vertices) <= _FARTHEST).all():
+            name = self.model.geom(self.index).name or f"number {self.index}"
+            given = f"geom {name!r} reaches beyond {_FARTHEST:,.0f} m, or is nowhere"
+            raise AssetError(given, "sizes in metres")
+        return mesh
+
+    def _with_picture(self, picture: _Picture, max_side: int) -> tuple[Mesh, np.ndarray, Texture]:
+        """Its surface in its own frame, each triangle with vertices of its own; f64[V, 2], their uv; image.
+
+        Args:
+          max_side: pixels; larger images are shrunk.
+        """
+        mesh = self._own_mesh()
+        pixels = picture.pixels
+        if picture.is_2d:
+            corners = Mesh(mesh.vertices[mesh.faces.ravel()], np.arange(3 * len(mesh.faces)))
+            places = self._own_places() if self._has_own_places else self._flat_places(corners)
+            return corners, places * [1, -1] + [0, 1], _texture(pixels, max_side)
+        width = pixels.shape[1]
+        sides = pixels.reshape(-1, width, width, 3)
+        image = one_image(np.broadcast_to(sides, (6, width, width, 3)))
+        is_one = image.shape[1] == width
+        side = min(width, max_side if is_one else max_side // 3)
+        mesh, uv = wrap_cube_map(mesh, self._directions(mesh.vertices), is_one, side)
+        return mesh, uv, _texture(image, max_side)
+
+    def _own_places(self) -> np.ndarray:
+        """f64[3 F, 2]: a mesh's own texture coordinates, to the right and down.
+
+        A vertex may have another place in the image in each triangle.
+        """
+        of = self.model
+        first = of.mesh_faceadr[self._asset]
+        faces = of.mesh_facetexcoord[first : first + of.mesh_facenum[self._asset]]
+        start = of.mesh_texcoordadr[self._asset]
+        places = of.mesh_texcoord[start : start + of.mesh_texcoordnum[self._asset]]
+        return np.asarray(places[faces.ravel()], np.float64)
+
+    @property
+    def _size(self) -> np.ndarray:
+        """f64[3]: half of what it measures, of a capsule without its ends."""
+        x, y, z = self.model.geom_size[self.index].tolist()
+        if self.kind == _GEOM.mjGEOM_SPHERE:
+            return np.full(3, x)
+        return np.array([x, x, y] if self.kind in _ROUND else [x, y, z])
+
+    def _flat_places(self, corners: Mesh) -> np.ndarray:
+        """f64[3 F, 2]: where MuJoCo lays the corners of triangles in a picture of type 2d, right and down."""
+        size = self._size
+        repeat = np.array(self.model.mat_texrepeat[self._material], np.float64)
+        if self._is_uniform:
+            repeat = repeat * size[:2]
+        unit = corners.vertices / size
+        if self.kind in _PROJECTED:
+            return unit[:, :2] * repeat * [0.5, -0.5] - 0.5
+        normals = np.repeat(corners.normals / corners.areas[:, None], 3, axis=0)
+        is_box = self.kind == _GEOM.mjGEOM_BOX
+        places = _on_box(unit, normals) if is_box else _around(unit, self.kind, size)
+        if self.kind == _GEOM.mjGEOM_CYLINDER:
+            places = np.where(np.abs(normals[:, 2:]) > _DISK, (unit[:, :2] + 1) / 2, places)
+        return places * repeat
+
+    def _directions(self, points: np.ndarray) -> np.ndarray:
+        """f64[V, 3]: where MuJoCo sees its points from the middle of a cube map."""
+        size = self._size
+        if self.kind in _PROJECTED:
+            return points * size if self._is_uniform else points
+        unit = points / size
+        if self.kind == _GEOM.mjGEOM_CAPSULE:
+            beyond = np.maximum(np.abs(points[:, 2]) - size[2], 0) / size[0]
+            unit[:, 2] = np.sign(unit[:, 2]) * (np.minimum(np.abs(unit[:, 2]), 1) + beyond)
+        return unit * size if self._is_uniform else unit
 
 
 def _texture(pixels: np.ndarray, max_side: int) -> Texture:
@@ -262,84 +463,6 @@ def _texture(pixels: np.ndarray, max_side: int) -> Texture:
 @lru_cache(maxsize=4)
 def _encode(data: bytes, size: tuple[int, int], max_side: int) -> Texture:
     return Texture.of(Image.frombytes("RGB", size, data), max_side)
-
-
-def geom_kind(model: mujoco.MjModel, geom: int) -> mujoco.mjtGeom:
-    """A geom's type, as a member of the enum: the model's own integers are not found `in` a tuple of them."""
-    return _GEOM(int(model.geom_type[geom]))
-
-
-def _is_2d(model: mujoco.MjModel, picture: int) -> bool:
-    return bool(model.tex_type[picture] == mujoco.mjtTexture.mjTEXTURE_2D)
-
-
-def _is_darker(model: mujoco.MjModel, picture: int) -> bool:
-    """Whether MuJoCo turns the picture's colours into amounts of light, which it then shows as they are."""
-    is_marked = model.tex_colorspace[picture] == mujoco.mjtColorSpace.mjCOLORSPACE_SRGB
-    return _is_2d(model, picture) and bool(is_marked)
-
-
-def _has_own_places(model: mujoco.MjModel, geom: int) -> bool:
-    """Whether a geom is a mesh with texture coordinates."""
-    is_mesh = geom_kind(model, geom) == _GEOM.mjGEOM_MESH
-    return is_mesh and bool(model.mesh_texcoordnum[model.geom_dataid[geom]] > 0)
-
-
-def _pixels(model: mujoco.MjModel, picture: int) -> np.ndarray:
-    """u8[H, W, 3]; of a cube map with six pictures one below the other, H = 6 W."""
-    height, width, channels = (
-        int(of[picture]) for of in (model.tex_height, model.tex_width, model.tex_nchannel)
-    )
-    start = int(model.tex_adr[picture])
-    pixels = model.tex_data[start : start + height * width * channels].reshape(
-        height, width, channels
-    )
-    pixels = np.ascontiguousarray(pixels[..., :3])
-    return _AS_LIGHT[pixels] if _is_darker(model, picture) else pixels
-
-
-def _own_places(model: mujoco.MjModel, geom: int) -> np.ndarray:
-    """f64[3 F, 2]: a mesh's own texture coordinates, to the right and down.
-
-    A vertex may have another place in the image in each triangle.
-    """
-    mesh = int(model.geom_dataid[geom])
-    first = model.mesh_faceadr[mesh]
-    count = model.mesh_facenum[mesh]
-    start = model.mesh_texcoordadr[mesh]
-    number = model.mesh_texcoordnum[mesh]
-    places = model.mesh_texcoord[start : start + number]
-    return np.asarray(places[model.mesh_facetexcoord[first : first + count].ravel()], np.float64)
-
-
-def _size(model: mujoco.MjModel, geom: int) -> np.ndarray:
-    """f64[3]: half of what a geom measures, of a capsule without its ends."""
-    x, y, z = (float(each) for each in model.geom_size[geom])
-    if geom_kind(model, geom) == _GEOM.mjGEOM_SPHERE:
-        return np.full(3, x)
-    return np.array(
-        [x, x, y]
-        if geom_kind(model, geom) in (_GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_CAPSULE)
-        else [x, y, z]
-    )
-
-
-def _flat_places(model: mujoco.MjModel, geom: int, corners: Mesh) -> np.ndarray:
-    """f64[3 F, 2]: where MuJoCo lays the corners of triangles in a picture of type 2d, right and down."""
-    material = int(model.geom_matid[geom])
-    size = _size(model, geom)
-    kind = geom_kind(model, geom)
-    repeat = np.array(model.mat_texrepeat[material], np.float64)
-    if model.mat_texuniform[material]:
-        repeat = repeat * size[:2]
-    unit = corners.vertices / size
-    if kind in _PROJECTED:
-        return unit[:, :2] * repeat * [0.5, -0.5] - 0.5
-    normals = np.repeat(corners.normals / corners.areas[:, None], 3, axis=0)
-    places = _on_box(unit, normals) if kind == _GEOM.mjGEOM_BOX else _around(unit, kind, size)
-    if kind == _GEOM.mjGEOM_CYLINDER:
-        places = np.where(np.abs(normals[:, 2:]) > _DISK, (unit[:, :2] + 1) / 2, places)
-    return places * repeat
 
 
 def _on_box(unit: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -374,117 +497,11 @@ def _down_a_capsule(height: np.ndarray, size: np.ndarray) -> np.ndarray:
     return np.where(middle > 1, 1 - lift, np.where(middle < -1, lift, (1 - height) / 2))
 
 
-def _directions(model: mujoco.MjModel, geom: int, points: np.ndarray) -> np.ndarray:
-    """f64[V, 3]: where MuJoCo sees the points of a geom from the middle of a cube map."""
-    size = _size(model, geom)
-    kind = geom_kind(model, geom)
-    is_uniform = bool(model.mat_texuniform[int(model.geom_matid[geom])])
-    if kind in _PROJECTED:
-        return points * size if is_uniform else points
-    unit = points / size
-    if kind == _GEOM.mjGEOM_CAPSULE:
-        beyond = np.maximum(np.abs(points[:, 2]) - size[2], 0) / size[0]
-        unit[:, 2] = np.sign(unit[:, 2]) * (np.minimum(np.abs(unit[:, 2]), 1) + beyond)
-    return unit * size if is_uniform else unit
-
-
-_FARTHEST = 1e6
-"""Metres; beyond, the arithmetic of hulls breaks down."""
-# What MuJoCo takes for "no colour given": a material's colour holds then.
-_DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], np.float32)
-
-
-def is_plane(model: mujoco.MjModel, geom: int) -> bool:
-    """Whether a geom is a plane: of the kinds that a file can hold, the one without an inside."""
-    return geom_kind(model, geom) == _GEOM.mjGEOM_PLANE
-
-
-def is_convex(model: mujoco.MjModel, geom: int) -> bool:
-    """Whether MuJoCo collides a geom as a convex body: a mesh counts as its hull."""
-    return geom_kind(model, geom) not in (_GEOM.mjGEOM_PLANE, _GEOM.mjGEOM_HFIELD, _GEOM.mjGEOM_SDF)
-
-
-def geom_rgba(model: mujoco.MjModel, geom: int) -> tuple[float, float, float, float]:
-    """The colour that MuJoCo draws a geom in: its own if it has one, else its material's."""
-    material = int(model.geom_matid[geom])
-    own = model.geom_rgba[geom]
-    is_given = material < 0 or not np.array_equal(own, _DEFAULT_RGBA)
-    r, g, b, a = own if is_given else model.mat_rgba[material]
-    return (float(r), float(g), float(b), float(a))
-
-
-def geom_piece(
-    model: mujoco.MjModel, data: mujoco.MjData, geom: int, max_side: int = MAX_TEXTURE
-) -> Piece:
-    """The geom's surface in the world frame, with its colour, and its picture as MuJoCo lays it on.
-
-    What is asked for although its alpha is 0, because nothing else is seen, is drawn opaque.
-    """
-    r, g, b, alpha = geom_rgba(model, geom)
-    colour = (r, g, b, alpha or 1.0)
-    picture = picture_id(model, geom)
-    if picture < 0:
-        return Piece(geom_mesh(model, data, geom), colour)
-    if (flat := flat_colour(model, picture)) is not None:
-        r, g, b = (flat * colour[:3]).tolist()
-        return Piece(geom_mesh(model, data, geom), (r, g, b, colour[3]))
-    if (found := with_picture(model, geom, _own_mesh(model, geom), picture, max_side)) is None:
-        return Piece(geom_mesh(model, data, geom), colour)
-    mesh, uv, texture = found
-    return Piece(_place(model, data, geom, mesh), colour, uv, texture)
-
-
-def geom_mesh(model: mujoco.MjModel, data: mujoco.MjData, geom: int, sections: int = 32) -> Mesh:
-    """The geom's surface in the world frame of the reference configuration.
-
-    Raises:
-      AssetError: it is a plane, or out of all bounds.
-    """
-    return _place(model, data, geom, _own_mesh(model, geom, sections))
-
-
-def _own_mesh(model: mujoco.MjModel, geom: int, sections: int = 32) -> Mesh:
-    """The geom's surface in its own frame."""
-    size = model.geom_size[geom]
-    data_id = int(model.geom_dataid[geom])
-    kind = geom_kind(model, geom)
-    if kind in (_GEOM.mjGEOM_MESH, _GEOM.mjGEOM_SDF):
-        # Of an SDF, MuJoCo makes a mesh when it compiles the file.
-        return _mesh_asset(model, data_id)
-    if kind == _GEOM.mjGEOM_HFIELD:
-        return _height_field(model, data_id)
-    if kind == _GEOM.mjGEOM_BOX:
-        return primitives.box(size)
-    if kind == _GEOM.mjGEOM_CYLINDER:
-        return primitives.cylinder(size[0], size[1], sections)
-    if kind == _GEOM.mjGEOM_CAPSULE:
-        return primitives.capsule(size[0], size[1])
-    if kind == _GEOM.mjGEOM_ELLIPSOID:
-        return primitives.ellipsoid(size)
-    if kind == _GEOM.mjGEOM_SPHERE:
-        return primitives.ellipsoid(np.full(3, size[0]))
-    raise AssetError(f"a geom of type {kind.name}", "geoms with an inside: all kinds but planes")
-
-
-def _place(model: mujoco.MjModel, data: mujoco.MjData, geom: int, mesh: Mesh) -> Mesh:
-    """A mesh in the geom's frame, in the world frame; AssetError where that is out of all bounds."""
-    mesh = mesh.transform(data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom])
-    # A number that is NaN compares as no.
-    if not (np.abs(mesh.vertices) <= _FARTHEST).all():
-        name = model.geom(geom).name or f"number {geom}"
-        raise AssetError(
-            f"geom {name!r} reaches beyond {_FARTHEST:,.0f} m, or is nowhere", "sizes in metres"
-        )
-    return mesh
-
-
 def _mesh_asset(model: mujoco.MjModel, mesh: int) -> Mesh:
     first = model.mesh_vertadr[mesh]
-    count = model.mesh_vertnum[mesh]
     first_face = model.mesh_faceadr[mesh]
-    face_count = model.mesh_facenum[mesh]
-    faces = model.mesh_face[first_face : first_face + face_count]
-    return Mesh(model.mesh_vert[first : first + count], faces)
+    faces = model.mesh_face[first_face : first_face + model.mesh_facenum[mesh]]
+    return Mesh(model.mesh_vert[first : first + model.mesh_vertnum[mesh]], faces)
 
 
 def _height_field(model: mujoco.MjModel, field: int) -> Mesh:
@@ -492,11 +509,10 @@ def _height_field(model: mujoco.MjModel, field: int) -> Mesh:
     columns = int(model.hfield_ncol[field])
     start = int(model.hfield_adr[field])
     heights = model.hfield_data[start : start + rows * columns].reshape(rows, columns)
-    half_x, half_y, highest, base = (float(each) for each in model.hfield_size[field])
+    half_x, half_y, highest, base = model.hfield_size[field].tolist()
     return primitives.height_field(heights * highest, half_x, half_y, base)
 
 
-_NUM_SEEN_GROUPS = 3
 # What a geom stands in for fills its volume to this share at least, and ends nowhere sooner than it by more
 # than this share of its size.
 _FILLED = 1 / 3
@@ -516,72 +532,58 @@ class Roles:
       unseen: the geoms that neither are seen nor collide.
     """
 
-    surface: tuple[int, ...]
-    colliding: tuple[int, ...]
+    surface: tuple[Geom, ...]
+    colliding: tuple[Geom, ...]
     notes: tuple[str, ...] = ()
-    unseen: tuple[int, ...] = ()
+    unseen: tuple[Geom, ...] = ()
 
 
 def roles_of(model: mujoco.MjModel, data: mujoco.MjData, geoms: Iterable[int]) -> Roles:
     """The roles of one body's geoms, as they stand in `data`; planes have none."""
-    geoms = list(geoms)
-    solid = [i for i in geoms if not is_plane(model, i)]
-    colliding = [i for i in solid if collides(model, i)]
-    others = [i for i in solid if i not in colliding]
-    shown = [i for i in others if is_visible(model, i)]
-    shown_colliding = [i for i in colliding if is_visible(model, i)]
-    stand_ins = _find_stand_ins(model, data, shown_colliding, shown)
-    surface = [i for i in solid if i in shown or (i in shown_colliding and i not in stand_ins)]
-    unseen = tuple(i for i in others if i not in shown)
+    every = [Geom(model, data, i) for i in geoms]
+    solid = [each for each in every if not each.is_plane]
+    colliding = [each for each in solid if each.collides]
+    shown = [each for each in solid if each.is_visible and not each.collides]
+    unseen = [each for each in solid if not each.is_visible and not each.collides]
+    stand_ins = _find_stand_ins([each for each in colliding if each.is_visible], shown)
+    surface = [each for each in solid if each.is_visible and each not in stand_ins]
     reasons = {
-        "left out, as planes have no inside": [i for i in geoms if i not in solid],
+        "left out, as planes have no inside": [each for each in every if each.is_plane],
         "left out, as they are not seen and do not collide": unseen,
         "taken for collision alone, as what is seen covers them": stand_ins,
         "taken for the surface, as nothing else is there to be seen": [] if surface else colliding,
     }
-    notes = tuple(f"{reason}: {_names(model, which)}" for reason, which in reasons.items() if which)
-    return Roles(tuple(surface or colliding), tuple(colliding), notes, unseen)
+    notes = tuple(
+        f"{reason}: {first_names([each.called for each in which], _MOST_NAMES, ', {} more')}"
+        for reason, which in reasons.items()
+        if which
+    )
+    return Roles(tuple(surface or colliding), tuple(colliding), notes, tuple(unseen))
 
 
-def is_visible(model: mujoco.MjModel, geom: int) -> bool:
-    """Whether MuJoCo draws a geom if nobody asks for other groups."""
-    return int(model.geom_group[geom]) < _NUM_SEEN_GROUPS and geom_rgba(model, geom)[3] > 0
-
-
-def collides(model: mujoco.MjModel, geom: int) -> bool:
-    """Whether a geom can touch another, by its bits or because a pair names it."""
-    is_paired = bool((model.pair_geom1 == geom).any() or (model.pair_geom2 == geom).any())
-    return bool(model.geom_contype[geom] or model.geom_conaffinity[geom]) or is_paired
-
-
-def _find_stand_ins(
-    model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], shown: Sequence[int]
-) -> list[int]:
+def _find_stand_ins(geoms: Sequence[Geom], shown: Sequence[Geom]) -> list[Geom]:
     """Those of `geoms` that stand in for what is shown: it fills a third of them, and reaches as far.
 
     A sticker fills nothing of its carton, and what a glass holds ends below its rim.
     """
     if not (geoms and shown):
         return []
-    others = [_convex(model, data, i) for i in shown]
+    others = [_hull(each) for each in shown]
+    parts = [each.vertices for each in others]
     lower, upper = join_meshes(others).bounds
     reach = _BEYOND * float(np.linalg.norm(upper - lower))
     covered = []
     for geom in geoms:
-        mesh = _convex(model, data, geom)
-        ends = (mesh.bounds[0] > lower - reach) & (mesh.bounds[1] < upper + reach)
-        if (
-            ends.all()
-            and is_within_parts(_inner_points(mesh), [each.vertices for each in others]).mean()
-            >= _FILLED
-        ):
+        hull = _hull(geom)
+        ends = (hull.bounds[0] > lower - reach) & (hull.bounds[1] < upper + reach)
+        if ends.all() and is_within_parts(_inner_points(hull), parts).mean() >= _FILLED:
             covered.append(geom)
     return covered
 
 
-def _convex(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Mesh:
+def _hull(geom: Geom) -> Mesh:
     """A geom's hull; what is flat is given a thickness."""
-    return Mesh.points(sound_points(geom_mesh(model, data, geom, 16).vertices)).hull()
+    return Mesh.points(sound_points(geom.mesh(16).vertices)).hull()
 
 
 def _inner_points(hull: Mesh) -> np.ndarray:
@@ -589,16 +591,6 @@ def _inner_points(hull: Mesh) -> np.ndarray:
     center = hull.vertices.mean(0)
     depth = np.random.default_rng(0).uniform(size=(_NUM_POINTS, 1)) ** (1 / 3)
     return center + depth * (sample_surface(hull, _NUM_POINTS, 0) - center)
-
-
-def _names(model: mujoco.MjModel, geoms: Sequence[int]) -> str:
-    """The first few geoms by their names, or else by their kinds."""
-    names = []
-    for geom in geoms:
-        kind = geom_kind(model, geom).name.removeprefix("mjGEOM_").lower()
-        name = model.geom(geom).name
-        names.append(repr(name) if name else f"a {kind}")
-    return first_names(names, _MOST_NAMES, ", {} more")
 
 
 _JOINT = mujoco.mjtJoint
@@ -650,26 +642,27 @@ def read_mjcf(
             f"{path}: nothing of body {model.body(root).name or body!r} can be an object: {why}",
             "geoms in groups 0 to 2 with an alpha above 0, or geoms that collide; planes do not count",
         )
-    of_pictures = (*of_pictures, *picture_notes(model, roles.surface))
-    colliding = tuple(geom_mesh(model, data, i, 16) for i in roles.colliding)
+    of_pictures = (*of_pictures, *(note for geom in roles.surface for note in geom.notes()))
+    colliding = tuple(geom.mesh(16) for geom in roles.colliding)
     notes = (*frozen_note(_frozen_joints(model, data, chosen)), *of_joints, *roles.notes)
     if root and not body and not bodies and (beside := len(_in_world(model))):
         notes += (f"left out, as they lie in the world beside the body: {beside} geoms",)
-    if kilograms := _mass_of(path, roles.unseen):
+    if kilograms := _mass_of(path, [geom.index for geom in roles.unseen]):
         notes += (f"what is left out weighs {kilograms:.3g} kg: it counts, as in MuJoCo",)
-    is_usable = 0 < len(colliding) <= MAX_PARTS and all(
-        is_convex(model, i) for i in roles.colliding
-    )
+    is_usable = all(geom.is_convex for geom in roles.colliding)
+    parts = None
+    if is_usable and 0 < len(colliding) <= MAX_PARTS:
+        parts = tuple(Mesh.points(each.vertices) for each in colliding)
+    weighed = [i for i in chosen if model.body_mass[i] != NO_MASS]
+    # One body that was chosen stands still itself.
+    movable = [i for i in chosen if i != root or not body]
     return Model(
-        pieces=[geom_piece(model, data, i, max_side) for i in roles.surface],
-        parts=tuple(Mesh.points(each.vertices) for each in colliding) if is_usable else None,
-        stated=combine_masses(
-            [_body_mass(model, data, i) for i in chosen if model.body_mass[i] != NO_MASS]
-        ),
+        pieces=[geom.piece(max_side) for geom in roles.surface],
+        parts=parts,
+        stated=combine_masses([_body_mass(model, data, i) for i in weighed]),
         notes=(*notes, *dict.fromkeys(of_pictures)),
         colliding=colliding,
-        # One body that was chosen stands still itself.
-        joints=_joints(model, data, roles.surface, [i for i in chosen if i != root or not body]),
+        joints=_joints(model, data, [geom.index for geom in roles.surface], movable),
     )
 
 

@@ -91,9 +91,7 @@ def model_file(path: Path, is_given: bool = False) -> ModelFile | str:
     if found := stand_in(path):
         return found[0]
     if not tag:
-        return ModelFile(
-            path, "", _named_in_text(path), is_whole=False, fault="not well-formed XML"
-        )
+        return _broken(path, "", "not well-formed XML")
     return f"neither URDF, SDF nor MJCF: its root is <{tag}>"
 
 
@@ -109,7 +107,7 @@ def _root_tag(path: Path) -> str:
 def _urdf(path: Path) -> ModelFile:
     root = parse_xml(path)
     if root is None:
-        return ModelFile(path, "urdf", _named_in_text(path), is_whole=False)
+        return _broken(path, "urdf")
     named = [
         each.get("filename", "") for each in root.iter() if plain_tag(each) in ("mesh", "texture")
     ]
@@ -164,12 +162,12 @@ def _mjcf(path: Path) -> ModelFile:
         check_mjcf_extent(path)
     except AssetError:
         # The reader says what is wrong with it.
-        return ModelFile(path, "mjcf", _named_in_text(path), is_whole=False)
+        return _broken(path, "mjcf")
     includes = {path.resolve()}
     root = _expand_includes(path, path.parent, includes)
     includes.discard(path.resolve())
     if root is None:
-        return ModelFile(path, "mjcf", _named_in_text(path), is_whole=False)
+        return _broken(path, "mjcf")
     folders = [path.parent, *asset_folders(root, path.parent)]
     files: set[Path] = set()
     is_whole = True
@@ -200,14 +198,14 @@ def _shows_something(root: Element) -> bool:
     )
 
 
-def _named_in_text(path: Path) -> frozenset[Path]:
-    """Real paths of what a file names that is no well-formed XML, as far as it is there."""
-    try:
+def _broken(path: Path, kind: str, fault: str = "") -> ModelFile:
+    """What cannot be read, or is no well-formed XML, with the files that its text names."""
+    text = ""
+    with suppress(OSError):
         text = as_utf8(read_file(path, MOST_XML)).decode(errors="replace")
-    except OSError:
-        return frozenset()
     places = (mesh_place(path, name) for name in dict.fromkeys(_NAMED.findall(text)))
-    return frozenset(each.resolve() for each in places if each is not None)
+    files = frozenset(each.resolve() for each in places if each is not None)
+    return ModelFile(path, kind, files, is_whole=False, fault=fault)
 
 
 def _bodies(path: Path, root: Element) -> tuple[str, ...]:
