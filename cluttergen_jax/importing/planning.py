@@ -20,9 +20,9 @@ from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, Skipped, S
 from cluttergen_jax.importing.readers.gltf import words_of
 from cluttergen_jax.importing.readers.pieces import collision_files
 from cluttergen_jax.importing.readers.read import NOT_STATED, public_path
-from cluttergen_jax.importing.readers.sets import AUTO as ANY_SET
-from cluttergen_jax.importing.readers.sets import NONE as NO_SET
 from cluttergen_jax.importing.readers.sets import (
+    ANY_SET,
+    NO_SET,
     KnownSet,
     Sidecars,
     Stated,

@@ -818,21 +818,16 @@ def _low(heights: np.ndarray) -> float:
 
 def note_of_air(surface: Surface, before: Air, after: Air) -> str:
     """What is to be said of a surface over which the collision fills, or filled, what is seen free."""
-    where = f"the surface at {surface.position[2]:.2f} m"
+    height = f"{surface.position[2]:.2f} m"
+    seen = f"{_metres(after.seen)} of air are seen over it"
+    left = _metres(after.collided)
     if after.collided < SURFACE_AIR:
-        return (
-            f"no surface at {surface.position[2]:.2f} m: {_metres(after.seen)} of air are seen over it, "
-            + (f"and its parts leave {_metres(after.collided)}")
-        )
+        return f"no surface at {height}: {seen}, and its parts leave {left}"
     if after.is_short:
-        return f"{where}: {_metres(after.seen)} of air are seen over it, and its parts leave " + (
-            _metres(after.collided)
-        )
+        return f"the surface at {height}: {seen}, and its parts leave {left}"
     if before.is_short:
-        return (
-            f"{where}: {_metres(before.seen)} of air are seen over it, and convex parts left "
-            f"{_metres(before.collided)}: they were cut, and leave {_metres(after.collided)}"
-        )
+        filled = f"convex parts left {_metres(before.collided)}"
+        return f"the surface at {height}: {seen}, and {filled}: they were cut, and leave {left}"
     return ""
 
 

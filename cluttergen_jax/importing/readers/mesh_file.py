@@ -96,7 +96,7 @@ def mesh_input(path: Path) -> MeshInput:
         data = (_OLD_COLOUR.sub(rb"\1", as_utf8(head)) if end else head) + end + body
     elif suffix == ".obj":
         data = _plain_obj(as_utf8(data))
-    elif is_text_stl(data, len(data)):
+    elif is_text_stl(data):
         data = as_utf8(data)
     return MeshInput(io.BytesIO(data), suffix[1:])
 

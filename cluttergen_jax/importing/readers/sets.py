@@ -37,8 +37,8 @@ from cluttergen_jax.importing.readers.source import (
 )
 from cluttergen_jax.schema import convert, parse_yaml
 
-AUTO = "auto"
-NONE = "none"
+ANY_SET = "auto"
+NO_SET = "none"
 _LAYOUTS = Path(__file__).with_name("sets.yaml")
 _FAMILIES = Path(__file__).with_name("sidecars.yaml")
 _DEFAULTS = ReadOptions()
@@ -123,7 +123,7 @@ def layouts() -> dict[str, SetLayout]:
     return convert(document, dict[str, SetLayout])
 
 
-def known_sets(root: Path, files: Iterable[Path], name: str = AUTO) -> tuple[KnownSet, ...]:
+def known_sets(root: Path, files: Iterable[Path], name: str = ANY_SET) -> tuple[KnownSet, ...]:
     """The sets that files belong to.
 
     Args:
@@ -134,19 +134,19 @@ def known_sets(root: Path, files: Iterable[Path], name: str = AUTO) -> tuple[Kno
     Raises:
       ConfigError: there is no layout of that name.
     """
-    if name == NONE:
+    if name == NO_SET:
         return ()
-    if name not in (AUTO, *layouts()):
-        allowed = ", ".join((AUTO, NONE, *layouts()))
+    if name not in (ANY_SET, *layouts()):
+        allowed = ", ".join((ANY_SET, NO_SET, *layouts()))
         raise ConfigError(f"set = {name!r}", allowed, meant=closest(name, layouts()))
     real = [each.resolve() for each in files]
-    tried = layouts() if name == AUTO else {name: layouts()[name]}
+    tried = layouts() if name == ANY_SET else {name: layouts()[name]}
     at: dict[Path, KnownSet] = {}
     for key, each in tried.items():
         # Google's scans in SDF are folders as Gazebo's models are: the first that fits a folder is it.
         at |= {home: KnownSet(key, each, home) for home in _homes(each, real) if home not in at}
     found = tuple(at.values())
-    return found or (() if name == AUTO else (KnownSet(name, layouts()[name], root.resolve()),))
+    return found or (() if name == ANY_SET else (KnownSet(name, layouts()[name], root.resolve()),))
 
 
 def describe_sets(sets: Sequence[KnownSet], num_others: Mapping[str, int]) -> Iterator[str]:
@@ -296,7 +296,7 @@ def short_text(value: Any) -> str:
 
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
 _OF_OTHERS = frozenset(
-    {
+    [
         "log",
         "down",
         "upscale",
@@ -311,9 +311,17 @@ _OF_OTHERS = frozenset(
         "emission",
         "alpha",
         "opacity",
-    }
-    | {"loss", "depth", "camera", "image", "light", "font", "time", "ui", "icon", "text", "line"}
-    | {
+        "loss",
+        "depth",
+        "camera",
+        "image",
+        "light",
+        "font",
+        "time",
+        "ui",
+        "icon",
+        "text",
+        "line",
         "center",
         "centre",
         "com",
@@ -324,22 +332,25 @@ _OF_OTHERS = frozenset(
         "version",
         "test",
         "random",
-    }
-    | {"min", "max", "confidence", "id", "ids"}
+        "min",
+        "max",
+        "confidence",
+        "id",
+        "ids",
+    ]
 )
 """Words of keys whose scale, weight or unit is not that of an object."""
-_LENGTHS = {
-    **dict.fromkeys(("mm", "millimeter", "millimetre"), 0.001),
-    **dict.fromkeys(("cm", "centimeter", "centimetre"), 0.01),
-    **dict.fromkeys(("dm", "decimeter", "decimetre"), 0.1),
-    **dict.fromkeys(("m", "meter", "metre"), 1.0),
-    **dict.fromkeys(("in", "inch", "inche"), 0.0254),
-    **dict.fromkeys(("ft", "foot", "feet"), 0.3048),
-    **dict.fromkeys(("um", "micron", "micrometer", "micrometre"), 1e-6),
-    **dict.fromkeys(("km", "kilometer", "kilometre"), 1000.0),
+_UNITS = {
+    "mm millimeter millimetre": 0.001,
+    "cm centimeter centimetre": 0.01,
+    "dm decimeter decimetre": 0.1,
+    "m meter metre": 1.0,
+    "in inch inche": 0.0254,
+    "ft foot feet": 0.3048,
+    "um micron micrometer micrometre": 1e-6,
+    "km kilometer kilometre": 1000.0,
 }
-
-
+_LENGTHS = {name: factor for names, factor in _UNITS.items() for name in names.split()}
 _LENGTH_WORDS = frozenset({"unit", "units", "meter", "meters", "metre", "metres"})
 _AXIS_WORDS = frozenset({"up", "axis", "vector", "dir", "direction", "world", "orient", *"xyz"})
 

@@ -243,21 +243,18 @@ class Joints:
         for place, joint in enumerate(own):
             T_model_joint = poses[self._link_of(joint, "child")]
             axis = self._axis(joint)
+            axis = T_model_joint[:3, :3] @ (axis / np.linalg.norm(axis))
             is_turn = joint.get("type") in _TURNS
             limits = self._limits(joint)
             made = Joint(
                 name=joint.get("name", ""),
                 kind="hinge" if is_turn else "slide",
                 anchor=tuple(T_model_joint[:3, 3].tolist()),
-                axis=tuple((axis / np.linalg.norm(axis)).tolist()),
+                axis=tuple(axis.tolist()),
                 value=self.value(joint),
                 range=limits if np.isfinite(limits).all() else None,
                 parent=mover(self._link_of(joint, "parent")),
                 pieces=tuple(piece for piece, by in enumerate(movers) if by == place),
-            )
-            made = replace(
-                made,
-                axis=tuple((T_model_joint[:3, :3] @ made.axis).tolist()),
                 damping=self._dynamics(joint, "damping"),
                 friction=self._dynamics(joint, "friction"),
             )
