@@ -43,6 +43,7 @@ from cluttergen_jax.importing.readers.model import (
     sound_mass,
     unknown_body,
 )
+from cluttergen_jax.importing.readers.source import ObjectFile
 
 _GEOM = mujoco.mjtGeom
 _CLOSE = 1e-6
@@ -598,11 +599,9 @@ _MOVABLE = {_JOINT.mjJNT_HINGE: "hinge", _JOINT.mjJNT_SLIDE: "slide", _JOINT.mjJ
 
 
 def read_mjcf(
-    path: Path,
-    body: str = "",
+    source: ObjectFile,
     max_side: int = MAX_TEXTURE,
     opened: Mapping[str, float] | None = None,
-    bodies: Sequence[str] = (),
 ) -> Model:
     """One body with all that hangs on it, at the model's reference configuration.
 
@@ -610,12 +609,11 @@ def read_mjcf(
     hull of each, so they are convex parts already, but for height fields and SDFs.
 
     Args:
-      path: the MJCF file.
-      body: the body's name, or "#N" for the N-th body of the world, or "" for the only one.
+      source: its body is the body's name, or "#N" for the N-th body of the world, or "" for the only one;
+        its bodies are several of the world, named likewise, that are one piece of furniture.
       max_side: pixels; larger images are shrunk.
       opened: where hinges and slides are to be instead, degrees or metres, by name; given for furniture,
         which has what lies in the world itself, too.
-      bodies: several bodies of the world, named likewise, that are one piece of furniture.
 
     Returns:
       The model; its parts are None if there are more than 32 or one is not convex, its mass is what MuJoCo
@@ -625,6 +623,9 @@ def read_mjcf(
       AssetError: MuJoCo cannot compile the file (its own message is kept), or nothing of the body is seen
         or collides.
     """
+    path = source.path
+    body = source.body
+    bodies = source.bodies
     model, of_pictures = compile_with_notes(path)
     if model.nflex and not model.ngeom:
         raise AssetError(f"{path} holds soft bodies alone (flex)", "rigid bodies with geoms")
