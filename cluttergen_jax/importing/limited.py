@@ -23,8 +23,9 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import IO, Any, TypeVar
+from typing import Any, TypeVar
 
 from pebble import ProcessExpired, ProcessPool
 
@@ -335,8 +336,7 @@ def limit_time(seconds: float) -> None:
 
 SECONDS = 20
 """Of a processor, for one call."""
-_HEAD = 8
-_SERVE = "import sys; sys.path[:] = {path!r}; from {module} import serve; serve()"
+_SERVE = "import sys; sys.path[:] = {path!r}; from {module} import serve; serve({pipe})"
 """What the process runs: modules come from where this one's do, not from the folder in which it stands."""
 
 
@@ -379,42 +379,40 @@ class _Server:
             self._begin()
         process = self._process
         assert process is not None
-        assert process.stdin is not None
-        assert process.stdout is not None
-        late = threading.Event()
-
-        def end() -> None:
-            late.set()
-            process.kill()
-
-        watch = threading.Timer(seconds * _PATIENCE, end)
-        watch.daemon = True
+        is_late = False
         try:
-            _send(process.stdin, pickle.dumps(question))
+            self._pipe.send(question)
             # It has loaded what it needs.
-            _receive(process.stdout)
-            watch.start()
-            return pickle.loads(_receive(process.stdout))
+            self._pipe.recv()
+            if self._pipe.poll(seconds * _PATIENCE):
+                answer: tuple[bool, Any] = self._pipe.recv()
+                return answer
+            is_late = True
+            process.kill()
         except (EOFError, OSError):
-            code = process.wait()
-            self._process = None
-            return _reason(code, late.is_set(), seconds)
+            pass
         except BaseException:
             # What is left of an answer would be taken for the next one.
             self.close()
             raise
-        finally:
-            watch.cancel()
+        code = process.wait()
+        self.close()
+        return _reason(code, is_late, seconds)
 
     def _begin(self) -> None:
         self._owner = os.getpid()
+        self._pipe, theirs = multiprocessing.Pipe()
+        pipe = theirs.fileno()
         settings = {**_SETTINGS, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         self._process = subprocess.Popen(
-            [sys.executable, "-c", _SERVE.format(path=sys.path, module=__name__)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
+            [sys.executable, "-c", _SERVE.format(path=sys.path, module=__name__, pipe=pipe)],
+            stdin=subprocess.DEVNULL,
+            # What libraries print is no output of this program.
+            stdout=2,
             env=os.environ | settings,
+            pass_fds=[pipe],
         )
+        theirs.close()
 
     def close(self) -> None:
         """Ends the process."""
@@ -422,9 +420,7 @@ class _Server:
         if process is not None and self._owner == os.getpid():
             process.kill()
             process.wait()
-            for pipe in (process.stdin, process.stdout):
-                with suppress(OSError):
-                    pipe and pipe.close()
+            self._pipe.close()
 
 
 _lock = threading.Lock()
@@ -444,35 +440,19 @@ def _reason(code: int, is_late: bool, seconds: int) -> str:
 _NO_MEMORY = 77
 
 
-def _send(pipe: IO[bytes], data: bytes) -> None:
-    pipe.write(len(data).to_bytes(_HEAD, "little") + data)
-    pipe.flush()
-
-
-def _receive(pipe: IO[bytes]) -> bytes:
-    head = pipe.read(_HEAD)
-    data = pipe.read(int.from_bytes(head, "little")) if len(head) == _HEAD else b""
-    if len(head) < _HEAD or len(data) < int.from_bytes(head, "little"):
-        raise EOFError
-    return data
-
-
-def serve() -> None:
-    """In the process: answers questions until there are no more."""
+def serve(number: int) -> None:
+    """In the process: answers questions from the pipe of a number until there are no more."""
     global _is_limited
     _is_limited = True
-    questions = sys.stdin.buffer
-    answers = os.fdopen(os.dup(1), "wb")
-    # What libraries print goes nowhere among the answers.
-    os.dup2(2, 1)
+    pipe = Connection(number)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     limit_memory()
     while True:
         try:
-            function, arguments, seconds = pickle.loads(_receive(questions))
-        except EOFError:
+            function, arguments, seconds = pipe.recv()
+        except (EOFError, OSError):
             return
-        _send(answers, b"")
+        pipe.send(None)
         limit_time(seconds)
         try:
             answer = (True, function(*arguments))
@@ -483,7 +463,7 @@ def serve() -> None:
         except Exception as error:
             answer = (False, error)
         limit_time(0)
-        _send(answers, _pickle_answer(answer))
+        pipe.send_bytes(_pickle_answer(answer))
 
 
 def _pickle_answer(answer: tuple[bool, Any]) -> bytes:
