@@ -634,7 +634,12 @@ def read_mjcf(
     mujoco.mj_kinematics(model, data)
     roots = _roots(model, path, body, bodies, opened is not None)
     root = roots[0]
-    chosen = [i for i in range(model.nbody) if any(_hangs_on(model, i, k) for k in roots)]
+    chosen = sorted(roots)
+    # Bodies come behind those that they hang on.
+    for index in range(1, model.nbody):
+        if index not in roots and int(model.body_parentid[index]) in chosen:
+            chosen.append(index)
+    chosen.sort()
     geoms = [i for i in range(model.ngeom) if model.geom_bodyid[i] in chosen]
     roles = roles_of(model, data, geoms)
     if not roles.surface:
@@ -805,9 +810,3 @@ def _in_world(model: mujoco.MjModel) -> list[int]:
     """The geoms of the world body, planes aside."""
     is_plane = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
     return [int(i) for i in np.flatnonzero((model.geom_bodyid == 0) & ~is_plane)]
-
-
-def _hangs_on(model: mujoco.MjModel, body: int, root: int) -> bool:
-    while body not in (root, 0):
-        body = int(model.body_parentid[body])
-    return body == root
