@@ -398,6 +398,7 @@ class _Plain:
         self._content = _Content(path, document)
         self._nodes: list[Json] = [dict(node) for node in document.get("nodes", [])]
         self._roots = _roots(document)
+        self._world: dict[int, np.ndarray] = {}
         self._meshes: list[Json] = []
         self._accessors: list[Json] = []
         self._views: list[Json] = []
@@ -407,8 +408,9 @@ class _Plain:
     def build(self) -> bytes:
         """The new file."""
         images = [self._image(image) for image in self._old.get("images", [])]
-        for index, place in list(self._world_places()):
-            self._draw(self._nodes[index], place)
+        self._place_nodes()
+        for index in self._world:
+            self._draw(self._nodes[index])
         kept = {
             key: self._old[key]
             for key in ("asset", "materials", "textures", "samplers")
@@ -424,9 +426,8 @@ class _Plain:
         }
         return glb(kept | new | ({"images": images} if images else {}), bytes(self._binary))
 
-    def _world_places(self) -> Iterator[tuple[int, np.ndarray]]:
-        """Every node of the scene with where it is in it, f64[4, 4]."""
-        self._world: dict[int, np.ndarray] = {}
+    def _place_nodes(self) -> None:
+        """Where every node of the scene is in it, f64[4, 4]."""
         todo = [(index, np.eye(4)) for index in self._roots]
         while todo:
             index, parent = todo.pop()
@@ -436,9 +437,8 @@ class _Plain:
             todo += [
                 (child, self._world[index]) for child in self._nodes[index].get("children", [])
             ]
-        return iter(self._world.items())
 
-    def _draw(self, node: Json, place: np.ndarray) -> None:
+    def _draw(self, node: Json) -> None:
         """Replaces what the node draws by plain meshes."""
         mesh, skin, weights = (node.pop(key, None) for key in ("mesh", "skin", "weights"))
         copies = node.pop("extensions", {}).get(INSTANCING)
