@@ -100,6 +100,14 @@ class Failure:
     reason: str
 
 
+def failure_of(source: ObjectFile, error: OSError | AssetError) -> Failure:
+    """What is said of an object whose files cannot be read."""
+    if isinstance(error, AssetError):
+        return Failure(source.name, str(error))
+    file = error.filename or source.path
+    return Failure(source.name, f"{file} cannot be read ({error.strerror})")
+
+
 @dataclass(frozen=True)
 class Plan:
     """Objects of distinct names, files that are none, what cannot be read, known sets, what is left out.
@@ -184,12 +192,8 @@ def plan_all(
         for source in group.found.sources:
             try:
                 planned.append(_plan_source(source, group, options))
-            except OSError as error:
-                failures.append(
-                    Failure(source.name, f"{source.path} cannot be read ({error.strerror})")
-                )
-            except AssetError as error:
-                failures.append(Failure(source.name, str(error)))
+            except (OSError, AssetError) as error:
+                failures.append(failure_of(source, error))
     skipped = tuple(
         each for group in groups for each in group.found.skipped if not group.has_used(each)
     )

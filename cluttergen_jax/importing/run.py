@@ -32,7 +32,14 @@ from cluttergen_jax.files import writing
 from cluttergen_jax.importing import cache
 from cluttergen_jax.importing.cache import NOTE, outside_note
 from cluttergen_jax.importing.limited import Crew, Outcome, Watch, most_memory
-from cluttergen_jax.importing.planning import YCB, Failure, Planned, name_distinctly, plan_all
+from cluttergen_jax.importing.planning import (
+    YCB,
+    Failure,
+    Planned,
+    failure_of,
+    name_distinctly,
+    plan_all,
+)
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, Skipped, read_shape
 from cluttergen_jax.importing.readers.read import MAX_FURNITURE, MAX_SIZE, public_path
 from cluttergen_jax.importing.readers.source import UpAxis, states_unit
@@ -384,12 +391,8 @@ def _jobs(planned: Sequence[Planned], config: ImportConfig) -> tuple[list[Job], 
         try:
             key = cache.cache_key(each.source, own, limits is None)
             jobs.append(Job(each.source, key, own, limits=limits, place=each.place))
-        except OSError as error:
-            failures.append(
-                Failure(each.source.name, f"{error.filename} cannot be read ({error.strerror})")
-            )
-        except AssetError as error:
-            failures.append(Failure(each.source.name, str(error)))
+        except (OSError, AssetError) as error:
+            failures.append(failure_of(each.source, error))
     return jobs, failures
 
 
