@@ -116,7 +116,7 @@ class _Content:
     def __init__(self, path: Path, document: Json) -> None:
         self._path = path
         self._document = document
-        self._read: dict[int, bytes] = {}
+        self._bytes: dict[int, bytes] = {}
 
     def view(self, index: int) -> bytes:
         """The bytes of one buffer view."""
@@ -130,12 +130,12 @@ class _Content:
         Raises:
           AssetError: it names a file that is not there.
         """
-        if index not in self._read:
+        if index not in self._bytes:
             uri = self._document["buffers"][index].get("uri")
             # A GLB file's own bytes are its first buffer's.
             own = _binary_chunk(self._path) if uri is None and index == 0 else b""
-            self._read[index] = own if uri is None else self._bytes_at(uri)
-        return self._read[index]
+            self._bytes[index] = own if uri is None else self._bytes_at(uri)
+        return self._bytes[index]
 
     def _bytes_at(self, uri: str) -> bytes:
         if uri.startswith("data:"):
