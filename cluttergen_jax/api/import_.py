@@ -103,10 +103,9 @@ def import_pool(
     """
     from cluttergen_jax.assets.body import BodyConfig
     from cluttergen_jax.cluster import cluster_of
-    from cluttergen_jax.importing.job import ObjectConfig
     from cluttergen_jax.importing.readers import ReadOptions
-    from cluttergen_jax.importing.run import ImportConfig, import_sources
-    from cluttergen_jax.importing.table_top import Limits
+    from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources
+    from cluttergen_jax.importing.scenery import Limits
 
     read = ReadOptions(
         scale=scale,

@@ -18,7 +18,7 @@ from cluttergen_jax.errors import ConfigError
 
 if TYPE_CHECKING:
     from cluttergen_jax.importing.run import ImportReport
-    from cluttergen_jax.importing.table_top import LeftOut
+    from cluttergen_jax.importing.scenery import LeftOut
 
 
 @command(
@@ -176,7 +176,7 @@ def left_out_text(left_out: Sequence[LeftOut]) -> str:
 
 def _one_of(left_out: Sequence[LeftOut]) -> str:
     """The name of one object, for an example: of what holds several only one of these."""
-    from cluttergen_jax.importing.table_top import SEVERAL
+    from cluttergen_jax.importing.scenery import SEVERAL
 
     whole = next((each.name for each in left_out if each.reason != SEVERAL), "")
     return whole or left_out[0].detail.split(", ")[0]

@@ -21,8 +21,8 @@ from cluttergen_jax.importing.limited import call_limited
 from cluttergen_jax.importing.readers import ObjectFile
 from cluttergen_jax.importing.readers.mesh_file import companions
 from cluttergen_jax.importing.readers.opening import check_openable
+from cluttergen_jax.importing.readers.pieces import ModelFile, model_file
 from cluttergen_jax.importing.readers.read import public_path
-from cluttergen_jax.importing.readers.references import ModelFile, model_file
 
 BODY_VERSION = 9
 """Raised when the code makes another body of the same files, or of the modeller's same shapes: geometry,

@@ -1,11 +1,14 @@
-"""Work on strangers' files in a process that has little time and memory: what ends it ends nothing else.
+"""Work that may crash, never end or take all memory, in processes under limits. Nothing heavy is imported.
 
-One process serves one program, one call after another. It is begun again after a call that ended it.
+A `Crew` has worker processes for many jobs, each in a pool of `pebble`'s, so that the death of one harms no
+other. `call_limited` asks one process about a stranger's file; it is no pool, which would run the user's own
+script again where that has no `if __name__ == "__main__":`.
 """
 
 from __future__ import annotations
 
 import atexit
+import importlib
 import multiprocessing
 import os
 import pickle
@@ -13,21 +16,327 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
-from contextlib import suppress
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing, suppress
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import IO, Any, TypeVar
+from typing import Any, TypeVar
+
+from pebble import ProcessExpired, ProcessPool
 
 from cluttergen_jax.errors import AssetError, ClutterGenError
-from cluttergen_jax.importing.processes import death, limit_memory, most_memory
+from cluttergen_jax.progress import stop_asked
 
 T = TypeVar("T")
+_LONGEST_WAIT = 1.0
+_SHARE = 2 / 3
+"""Of the time that a job has left, what a try may take where there is another one."""
+_KILLED = -9
+_PATIENCE = 4
+"""Limits are of a processor's time, so that a busy machine ends nothing; so many times as long may pass."""
+_MOST_UNBORN = 3
+"""So many workers may end, one after another, before they take a job."""
+_BYTES = 8 << 30
+_LEAST = 3 << 30
+_SETTINGS = {"OMP_NUM_THREADS": "1", "JAX_PLATFORMS": "cpu"}
+"""One thread each, and no GPU."""
+
+
+@dataclass
+class Outcome:
+    """What became of a job."""
+
+    result: Any = None  # What the function returned; None if there is none.
+    fault: str = ""  # Why there is none; empty if there is one.
+    seconds: float = 0.0  # What it cost, all tries together, without the start of a process.
+    cpu_seconds: float = (
+        0.0  # Of a try that was lost: its limit, or the seconds that passed if fewer.
+    )
+    is_late: bool = False  # Whether it was ended for its time.
+    is_killed: bool = False  # Whether something outside has killed its worker.
+
+
+Again = Callable[[Any, str], Any]
+"""From a job and the fault by which it was lost to the job that is tried in its stead."""
+Watch = Callable[[list[int]], None]
+"""Hears which jobs are at work, by index."""
+
+
+def run_all(
+    function: Callable[[Any], str], jobs: Sequence[Any], num_processes: int
+) -> Iterator[tuple[int, str]]:
+    """Yields (index, result) of `function(job)` as they come; of a job that was lost, why.
+
+    Left early, as by Ctrl-C, it ends its workers.
+    """
+    with closing(Crew(function, num_processes)) as crew:
+        for index, outcome in crew.outcomes(jobs):
+            yield index, outcome.fault or outcome.result
+
+
+@dataclass
+class _Task:
+    """One job, its tries so far, and what became of the last."""
+
+    index: int
+    job: Any
+    tries: int = 0
+    spent: float = 0.0  # Seconds of its limit.
+    limit: float | None = None  # Of the try at work.
+    began: float = 0.0  # On the monotonic clock; 0 if it waits for its worker to start.
+    outcome: Outcome = field(default_factory=Outcome)
+
+
+class Crew:
+    """Worker processes, one job each at a time.
+
+    A worker that dies takes one job with it. If something outside has killed it, for want of memory
+    perhaps, the job is tried a second time when all others are done, alone. After any other death, and
+    after a job over its time, which is ended with its worker, the next try is what `again` makes of the
+    job, if that is given.
+
+    Args:
+      function: of a job, for all workers; it and the jobs are pickled.
+      num_processes: at a time.
+      limit: seconds of a processor that a job may take, all tries together; None for as long as it likes.
+      again: makes the next job.
+      most_tries: of a job, where `again` is given.
+      watch: hears, every second or oftener, which jobs are at work, by index.
+      is_limited: each may take so much memory as `most_memory` says.
+    """
+
+    def __init__(
+        self,
+        function: Callable[[Any], Any],
+        num_processes: int,
+        limit: float | None = None,
+        again: Again | None = None,
+        most_tries: int = 2,
+        watch: Watch | None = None,
+        is_limited: bool = False,
+    ) -> None:
+        self._function = function
+        self._num = num_processes
+        self._limit = limit
+        self._again = again
+        self._most_tries = most_tries if again is not None else 1
+        self._watch = watch
+        self._start = (function.__module__, is_limited)
+        self._idle: list[ProcessPool] = []
+        self._busy: dict[Future[_Done], tuple[ProcessPool, _Task]] = {}
+        self._waiting: deque[_Task] = deque()
+        self._last: deque[_Task] = deque()
+        self._num_unborn = 0
+
+    def outcomes(self, jobs: Sequence[Any]) -> Iterator[tuple[int, Outcome]]:
+        """Yields (index, outcome) of each job as they come.
+
+        Raises:
+          ClutterGenError: workers end before they take a job.
+          Exception: what the function raised.
+        """
+        self._waiting = deque(_Task(index, job) for index, job in enumerate(jobs))
+        self._last.clear()
+        while self._waiting or self._last or self._busy:
+            if stop_asked.is_set():
+                raise KeyboardInterrupt
+            self._hand_out()
+            if self._watch is not None:
+                self._watch([task.index for _, task in self._busy.values()])
+            done, _ = wait(self._busy, _LONGEST_WAIT, FIRST_COMPLETED)
+            for future, (_, task) in self._busy.items():
+                task.began = task.began or (time.monotonic() if future.running() else 0.0)
+            for future in done:
+                task = self._busy[future][1]
+                if self._is_over(future):
+                    yield task.index, task.outcome
+
+    def close(self) -> None:
+        """Ends the workers, whatever they do."""
+        pools = [*self._idle, *(pool for pool, _ in self._busy.values())]
+        self._idle.clear()
+        self._busy.clear()
+        for pool in pools:
+            pool.stop()
+        for pool in pools:
+            pool.join()
+
+    def _hand_out(self) -> None:
+        while self._waiting and len(self._busy) < self._num:
+            self._give(self._waiting.popleft())
+        if self._last and not self._waiting and not self._busy:
+            # Idle workers hold memory, of which there may have been too little.
+            self.close()
+            self._give(self._last.popleft())
+
+    def _give(self, task: _Task) -> None:
+        if not self._idle:
+            context = multiprocessing.get_context("spawn")
+            pool = ProcessPool(1, initializer=_begin, initargs=self._start, context=context)
+            self._idle.append(pool)
+        pool = self._idle.pop()
+        task.began = 0.0
+        task.limit = None
+        if self._limit is not None:
+            left = self._limit - task.spent
+            task.limit = left * _SHARE if task.tries < self._most_tries - 1 else max(left, 1.0)
+        longest = None if task.limit is None else task.limit * _PATIENCE
+        future = pool.schedule(_run, (self._function, task.job, task.limit), timeout=longest)
+        self._busy[future] = (pool, task)
+
+    def _is_over(self, future: Future[_Done]) -> bool:
+        """Whether a task that was done or lost is over for good; else it waits for its next try."""
+        pool, task = self._busy.pop(future)
+        try:
+            done = future.result()
+        except (ProcessExpired, TimeoutError) as error:
+            self._num_unborn = 0
+            self._idle.append(pool)
+            return self._is_given_up(task, getattr(error, "exitcode", None))
+        except BrokenProcessPool as error:
+            pool.join()
+            self._num_unborn += 1
+            if self._num_unborn >= _MOST_UNBORN:
+                raise ClutterGenError(
+                    "worker processes end before they begin",
+                    hint='in a script of your own, calling it below `if __name__ == "__main__":`',
+                ) from error
+            self._waiting.appendleft(task)
+            return False
+        self._num_unborn = 0
+        self._idle.append(pool)
+        task.outcome.seconds += done.seconds
+        task.outcome.cpu_seconds += done.cpu_seconds
+        if done.error is not None:
+            raise done.error
+        task.outcome.result = done.result
+        task.outcome.fault = ""
+        return True
+
+    def _is_given_up(self, task: _Task, exit_code: int | None) -> bool:
+        """Whether a task whose worker has died, by itself or for its time (None), is not tried again."""
+        outcome = task.outcome
+        seconds = time.monotonic() - task.began if task.began else 0.0
+        outcome.is_late = exit_code is None or exit_code == -_OVERTIME
+        outcome.is_killed = exit_code == _KILLED
+        used = seconds
+        if task.limit is not None:
+            used = task.limit if outcome.is_late else min(seconds, task.limit)
+        task.tries += 1
+        task.spent += used
+        outcome.seconds += seconds
+        outcome.cpu_seconds += used
+        outcome.fault = death(exit_code)
+        if outcome.is_late:
+            outcome.fault = f"it was not done after {task.spent:.{0 if task.spent >= 10 else 1}f} s"
+        if task.tries >= (2 if outcome.is_killed else self._most_tries):
+            return True
+        if outcome.is_killed:
+            # What it took in the company of others that had the memory does not count.
+            task.spent = 0.0
+            self._last.append(task)
+        elif self._again is not None:
+            task.job = self._again(task.job, outcome.fault)
+            self._waiting.appendleft(task)
+        return False
+
+
+def death(exit_code: int | None) -> str:
+    """What an exit status says of the end of a process."""
+    if exit_code is None or exit_code >= 0:
+        return f"its worker process ended with status {exit_code}"
+    try:
+        name = signal.Signals(-exit_code).name
+        meaning = signal.strsignal(-exit_code) or ""
+    except ValueError:
+        name = f"signal {-exit_code}"
+        meaning = ""
+    if name == "SIGKILL":
+        return "its worker process was killed from outside (SIGKILL), perhaps for want of memory"
+    if name in ("SIGTERM", "SIGINT", "SIGHUP"):
+        return f"its worker process was ended from outside ({name})"
+    return f"its worker process crashed ({name}{f': {meaning.lower()}' if meaning else ''})"
+
+
+@dataclass(frozen=True)
+class _Done:
+    """Said by a worker when a job is over."""
+
+    result: Any
+    error: Exception | None
+    seconds: float
+    cpu_seconds: float
+
+
+def _begin(module: str, is_limited: bool) -> None:
+    """In a worker, before its first job: settings, and then what the function and its jobs need."""
+    # pebble's own answer to it waits for the end of whatever library is at work.
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    os.environ.update(_SETTINGS)
+    if is_limited:
+        limit_memory()
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    importlib.import_module(module)
+
+
+def _run(function: Callable[[Any], Any], job: Any, limit: float | None) -> _Done:
+    start = time.perf_counter()
+    cpu_start = time.process_time()
+    result = None
+    failure = None
+    limit_time(limit or 0)
+    try:
+        result = function(job)
+    except Exception as error:
+        failure = error
+    limit_time(0)
+    return _Done(result, failure, time.perf_counter() - start, time.process_time() - cpu_start)
+
+
+def _end_with_parent() -> None:
+    """A parent that was killed ends nobody, and a worker at work does not hear that it is gone."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def most_memory() -> int:
+    """Bytes that a process may take that reads a stranger's file: 8 GB, or half of a smaller machine."""
+    try:
+        whole = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (ValueError, OSError, AttributeError):
+        return _BYTES
+    return max(min(_BYTES, whole // 2), _LEAST)
+
+
+def limit_memory() -> None:
+    """Gives this process `most_memory`, where the system knows limits."""
+    with suppress(ImportError, ValueError, OSError):
+        import resource
+
+        _, hard = resource.getrlimit(resource.RLIMIT_AS)
+        most = most_memory() if hard == resource.RLIM_INFINITY else min(most_memory(), hard)
+        resource.setrlimit(resource.RLIMIT_AS, (most, hard))
+
+
+_OVERTIME = getattr(signal, "SIGPROF", 27)
+
+
+def limit_time(seconds: float) -> None:
+    """Ends this process, in whatever library it is, after seconds of a processor; 0 takes the limit away."""
+    if hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_PROF, seconds)
+
+
 SECONDS = 20
 """Of a processor, for one call."""
-_PATIENCE = 4
-"""So many times as long may pass, whatever else the machine is busy with."""
-_HEAD = 8
-_SERVE = "import sys; sys.path[:] = {path!r}; from {module} import serve; serve()"
+_SERVE = "import sys; sys.path[:] = {path!r}; from {module} import serve; serve({pipe})"
 """What the process runs: modules come from where this one's do, not from the folder in which it stands."""
 
 
@@ -70,46 +379,40 @@ class _Server:
             self._begin()
         process = self._process
         assert process is not None
-        assert process.stdin is not None
-        assert process.stdout is not None
-        late = threading.Event()
-
-        def end() -> None:
-            late.set()
-            process.kill()
-
-        watch = threading.Timer(seconds * _PATIENCE, end)
-        watch.daemon = True
+        is_late = False
         try:
-            _send(process.stdin, pickle.dumps(question))
+            self._pipe.send(question)
             # It has loaded what it needs.
-            _receive(process.stdout)
-            watch.start()
-            return pickle.loads(_receive(process.stdout))
+            self._pipe.recv()
+            if self._pipe.poll(seconds * _PATIENCE):
+                answer: tuple[bool, Any] = self._pipe.recv()
+                return answer
+            is_late = True
+            process.kill()
         except (EOFError, OSError):
-            code = process.wait()
-            self._process = None
-            return _reason(code, late.is_set(), seconds)
+            pass
         except BaseException:
             # What is left of an answer would be taken for the next one.
             self.close()
             raise
-        finally:
-            watch.cancel()
+        code = process.wait()
+        self.close()
+        return _reason(code, is_late, seconds)
 
     def _begin(self) -> None:
         self._owner = os.getpid()
-        settings = {
-            "OMP_NUM_THREADS": "1",
-            "JAX_PLATFORMS": "cpu",
-            "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
-        }
+        self._pipe, theirs = multiprocessing.Pipe()
+        pipe = theirs.fileno()
+        settings = {**_SETTINGS, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         self._process = subprocess.Popen(
-            [sys.executable, "-c", _SERVE.format(path=sys.path, module=__name__)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
+            [sys.executable, "-c", _SERVE.format(path=sys.path, module=__name__, pipe=pipe)],
+            stdin=subprocess.DEVNULL,
+            # What libraries print is no output of this program.
+            stdout=2,
             env=os.environ | settings,
+            pass_fds=[pipe],
         )
+        theirs.close()
 
     def close(self) -> None:
         """Ends the process."""
@@ -117,9 +420,7 @@ class _Server:
         if process is not None and self._owner == os.getpid():
             process.kill()
             process.wait()
-            for pipe in (process.stdin, process.stdout):
-                with suppress(OSError):
-                    pipe and pipe.close()
+            self._pipe.close()
 
 
 _lock = threading.Lock()
@@ -129,7 +430,7 @@ atexit.register(_server.close)
 
 
 def _reason(code: int, is_late: bool, seconds: int) -> str:
-    if is_late or code == -signal.SIGPROF:
+    if is_late or code == -_OVERTIME:
         return f"reading it was not done after {seconds} s"
     if code == _NO_MEMORY:
         return f"reading it takes more than {most_memory() >> 30} GB of memory"
@@ -139,36 +440,20 @@ def _reason(code: int, is_late: bool, seconds: int) -> str:
 _NO_MEMORY = 77
 
 
-def _send(pipe: IO[bytes], data: bytes) -> None:
-    pipe.write(len(data).to_bytes(_HEAD, "little") + data)
-    pipe.flush()
-
-
-def _receive(pipe: IO[bytes]) -> bytes:
-    head = pipe.read(_HEAD)
-    data = pipe.read(int.from_bytes(head, "little")) if len(head) == _HEAD else b""
-    if len(head) < _HEAD or len(data) < int.from_bytes(head, "little"):
-        raise EOFError
-    return data
-
-
-def serve() -> None:
-    """In the process: answers questions until there are no more."""
+def serve(number: int) -> None:
+    """In the process: answers questions from the pipe of a number until there are no more."""
     global _is_limited
     _is_limited = True
-    questions = sys.stdin.buffer
-    answers = os.fdopen(os.dup(1), "wb")
-    # What libraries print goes nowhere among the answers.
-    os.dup2(2, 1)
+    pipe = Connection(number)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     limit_memory()
     while True:
         try:
-            function, arguments, seconds = pickle.loads(_receive(questions))
-        except EOFError:
+            function, arguments, seconds = pipe.recv()
+        except (EOFError, OSError):
             return
-        _send(answers, b"")
-        _set_alarm(seconds)
+        pipe.send(None)
+        limit_time(seconds)
         try:
             answer = (True, function(*arguments))
         except MemoryError:
@@ -177,14 +462,8 @@ def serve() -> None:
             answer = (False, AssetError("what it holds is nested too deeply"))
         except Exception as error:
             answer = (False, error)
-        _set_alarm(0)
-        _send(answers, _pickle_answer(answer))
-
-
-def _set_alarm(seconds: float) -> None:
-    # Its signal ends the process, in whatever library it is.
-    if hasattr(signal, "setitimer"):
-        signal.setitimer(signal.ITIMER_PROF, seconds)
+        limit_time(0)
+        pipe.send_bytes(_pickle_answer(answer))
 
 
 def _pickle_answer(answer: tuple[bool, Any]) -> bytes:

@@ -20,7 +20,16 @@ from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, Skipped, S
 from cluttergen_jax.importing.readers.gltf import words_of
 from cluttergen_jax.importing.readers.pieces import collision_files
 from cluttergen_jax.importing.readers.read import NOT_STATED, public_path
-from cluttergen_jax.importing.readers.sidecars import Sidecars, Stated
+from cluttergen_jax.importing.readers.sets import (
+    ANY_SET,
+    NO_SET,
+    KnownSet,
+    Sidecars,
+    Stated,
+    describe_sets,
+    known_sets,
+    layouts,
+)
 from cluttergen_jax.importing.readers.source import (
     AUTO,
     AXES,
@@ -32,12 +41,15 @@ from cluttergen_jax.importing.readers.source import (
     plain_name,
     says_something,
 )
-from cluttergen_jax.importing.readers.tree import SETTINGS, find_all, find_sources, node_source
-from cluttergen_jax.importing.readers.ycb_scans import YCB_ATTRIBUTION, YCB_LICENCE
-from cluttergen_jax.importing.scenery import why_no_objects
-from cluttergen_jax.importing.sets import AUTO as ANY_SET
-from cluttergen_jax.importing.sets import NONE as NO_SET
-from cluttergen_jax.importing.sets import KnownSet, describe_sets, known_sets, layouts
+from cluttergen_jax.importing.readers.tree import (
+    SETTINGS,
+    YCB_ATTRIBUTION,
+    YCB_LICENCE,
+    find_all,
+    find_sources,
+    node_source,
+)
+from cluttergen_jax.importing.scenery import LeftOut, why_no_objects
 from cluttergen_jax.importing.settings import (
     OF_READING,
     TAKE,
@@ -46,7 +58,6 @@ from cluttergen_jax.importing.settings import (
     read_settings,
     settings_for,
 )
-from cluttergen_jax.importing.table_top import LeftOut
 
 YCB = "ycb"
 
@@ -87,6 +98,14 @@ class Failure:
 
     name: str
     reason: str
+
+
+def failure_of(source: ObjectFile, error: OSError | AssetError) -> Failure:
+    """What is said of an object whose files cannot be read."""
+    if isinstance(error, AssetError):
+        return Failure(source.name, str(error))
+    file = error.filename or source.path
+    return Failure(source.name, f"{file} cannot be read ({error.strerror})")
 
 
 @dataclass(frozen=True)
@@ -173,12 +192,8 @@ def plan_all(
         for source in group.found.sources:
             try:
                 planned.append(_plan_source(source, group, options))
-            except OSError as error:
-                failures.append(
-                    Failure(source.name, f"{source.path} cannot be read ({error.strerror})")
-                )
-            except AssetError as error:
-                failures.append(Failure(source.name, str(error)))
+            except (OSError, AssetError) as error:
+                failures.append(failure_of(source, error))
     skipped = tuple(
         each for group in groups for each in group.found.skipped if not group.has_used(each)
     )

@@ -29,8 +29,7 @@ mug_012.glb,coffee mug,mug.n.04,0.3
 from __future__ import annotations
 
 import csv
-import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -38,7 +37,7 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.object_files import NAME_PATTERN, RESERVED
-from cluttergen_jax.errors import ClutterGenError, ConfigError
+from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, Survey
 from cluttergen_jax.importing.readers.tree import SETTINGS
 from cluttergen_jax.schema import SchemaError, parse_toml, read_written
@@ -122,18 +121,13 @@ class ObjectSettings:
         }
         wrong = unused[0]
         reason = next((why for name, why in skipped.items() if _fits(name, Path(wrong).name)), None)
-        why = f" (it is skipped: {reason})" if reason else did_you_mean(wrong, known)
+        why = f" (it is skipped: {reason})" if reason else ""
+        some = ", ".join(sorted(there)[:5])
         raise ConfigError(
             f"{self.path}: [{wrong!r}] fits no object{why}",
-            "paths or names of files that are imported, such as "
-            + ", ".join(sorted(set(known))[:5]),
+            f"paths or names of files that are imported, such as {some}",
+            meant="" if reason else closest(wrong, known),
         )
-
-
-def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """A question in brackets where something known is spelt nearly like `word`, or nothing."""
-    close = difflib.get_close_matches(word, list(known), 1)
-    return f" (did you mean {close[0]!r}?)" if close else ""
 
 
 def read_settings(path: Path) -> ObjectSettings:
@@ -207,9 +201,7 @@ def _check_table(path: Path, pattern: str, table: Any) -> dict[str, Any]:
     for key, value in values.items():
         if key not in KEYS:
             hint = "a pattern in quotes, as ['mug.obj']" if isinstance(value, dict) else ""
-            raise ConfigError(
-                f"{where}: key {key!r}{did_you_mean(key, KEYS)}", ", ".join(KEYS), hint
-            )
+            raise ConfigError(f"{where}: key {key!r}", ", ".join(KEYS), hint, closest(key, KEYS))
         if key in ("licence", "attribution", *_OF_NAMING) and not (
             isinstance(value, str) and value.strip()
         ):

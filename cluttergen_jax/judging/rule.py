@@ -17,7 +17,7 @@ import numpy as np
 from cluttergen_jax.config import Detector, StabilityConfig, VerifyConfig, check_positive
 from cluttergen_jax.errors import AssetError, ConfigError
 from cluttergen_jax.geometry import rotate
-from cluttergen_jax.importing.readers.mjcf_geoms import geom_mesh, geom_rgba, is_convex, is_plane
+from cluttergen_jax.importing.readers.mjcf import Geom
 from cluttergen_jax.importing.readers.model import convex_parts
 from cluttergen_jax.physics.margin import MIN_LIFT
 from cluttergen_jax.physics.standing import has_moved, horizons_of, keep_awake, watch
@@ -221,7 +221,7 @@ def collision_shapes(model: mujoco.MjModel) -> tuple[np.ndarray, tuple[str, ...]
     candidates = np.flatnonzero(~has_shape & (model.body_mocapid[root] < 0))
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    drawn = [geom for geom in candidates.tolist() if _is_solid(model, data, geom)]
+    drawn = [geom for geom in candidates.tolist() if _is_solid(Geom(model, data, geom))]
     is_shape[drawn] = True
     names = [repr(_name(model, body)) for body in dict.fromkeys(root[drawn].tolist())]
     if not names:
@@ -240,12 +240,12 @@ def _collides(model: mujoco.MjModel) -> np.ndarray:
     return collides
 
 
-def _is_solid(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> bool:
+def _is_solid(geom: Geom) -> bool:
     """Whether a geom is opaque, convex and has a volume."""
-    if is_plane(model, geom) or not is_convex(model, geom) or geom_rgba(model, geom)[3] < 1:
+    if not geom.is_convex or geom.rgba[3] < 1:
         return False
     try:
-        return convex_parts([geom_mesh(model, data, geom)]) is not None
+        return convex_parts([geom.mesh()]) is not None
     except AssetError:
         return False
 

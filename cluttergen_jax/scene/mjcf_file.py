@@ -18,8 +18,8 @@ from cluttergen_jax.assets.shape import Provenance
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.geometry import rotation_matrix, transform_points
+from cluttergen_jax.importing.readers.mjcf import Roles, roles_of
 from cluttergen_jax.importing.readers.mjcf_compile import compile_with_notes
-from cluttergen_jax.importing.readers.mjcf_geoms import Roles, geom_mesh, geom_piece, roles_of
 from cluttergen_jax.scene.scene import Scene
 
 _FLAT = 0.01
@@ -75,10 +75,8 @@ def _object(
     turn = data.xmat[body].reshape(3, 3)
     origin = data.xpos[body]
     name = model.body(body).name or f"body-{body}"
-    pieces = tuple(
-        geom_piece(model, data, i).transform(turn.T, -turn.T @ origin) for i in roles.surface
-    )
-    meshes = (geom_mesh(model, data, i) for i in roles.colliding or roles.surface)
+    pieces = tuple(geom.piece().transform(turn.T, -turn.T @ origin) for geom in roles.surface)
+    meshes = (geom.mesh() for geom in roles.colliding or roles.surface)
     parts = tuple(Mesh.points(mesh.transform(turn.T, -turn.T @ origin).vertices) for mesh in meshes)
     axes = rotation_matrix(model.body_iquat[body])
     return ObjectAsset(
@@ -110,7 +108,7 @@ def _support(
 ) -> SupportAsset:
     """All fixed geoms; the top is where the lowest object stands."""
     seen = _roles(model, data, model.body_weldid == 0).surface
-    pieces = tuple(geom_piece(model, data, i) for i in seen)
+    pieces = tuple(geom.piece() for geom in seen)
     placed = zip(objects, poses, strict=True)
     corners = [
         transform_points(pose, part.vertices) for each, pose in placed for part in each.parts

@@ -9,8 +9,7 @@ from cluttergen_jax.assets.pool import Pool, find_pool, user_root, write_pool
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.importing import run
-from cluttergen_jax.importing.job import ObjectConfig
-from cluttergen_jax.importing.run import ImportConfig, import_sources
+from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources
 from tests.helpers.imports import made_here
 from tests.helpers.shapes import make_box
 

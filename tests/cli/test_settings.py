@@ -15,8 +15,8 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.importing.job import ObjectConfig
 from cluttergen_jax.importing.readers import ReadOptions
+from cluttergen_jax.importing.run import ObjectConfig
 from tests.helpers.banks import two_scenes
 
 NOT_POSITIVE = (math.nan, math.inf, 0.0, -1.0, True)

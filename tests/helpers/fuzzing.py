@@ -39,8 +39,7 @@ from cluttergen_jax.errors import BankError, ClutterGenError
 from cluttergen_jax.generation import repair
 from cluttergen_jax.generation.layout_json import read_layout_json
 from cluttergen_jax.generation.layouts import read_layout
-from cluttergen_jax.importing import sets
-from cluttergen_jax.importing.readers import find_sources, read_shape
+from cluttergen_jax.importing.readers import find_sources, read_shape, sets
 from cluttergen_jax.importing.settings import read_settings
 from cluttergen_jax.judging.scene_files import load_model, read_model, read_starts
 from cluttergen_jax.judging.verify import verify_scene
@@ -421,7 +420,7 @@ def _words_of_a_set(folder: Path) -> None:
 
 
 def _look_up(folder: Path) -> object:
-    return sets._json(folder / "words.json.gz", time.monotonic_ns())
+    return sets._parsed(folder / "words.json.gz", time.monotonic_ns(), 0)
 
 
 def _judged(folder: Path) -> None:

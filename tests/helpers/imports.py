@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from cluttergen_jax.importing.job import Job, make_job
-from cluttergen_jax.importing.processes import Outcome
-from cluttergen_jax.importing.run import ImportConfig, Watch
+from cluttergen_jax.importing.limited import Outcome
+from cluttergen_jax.importing.run import ImportConfig, Job, Watch, make_job
 
 
 def made_here(

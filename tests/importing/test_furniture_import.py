@@ -15,8 +15,7 @@ from cluttergen_jax.importing.furniture import choose_up, find_furniture, looks_
 from cluttergen_jax.importing.readers import ReadOptions
 from cluttergen_jax.importing.readers.source import turn_of
 from cluttergen_jax.importing.run import import_sources
-from cluttergen_jax.importing.support_collision import AirBox, air_over, without_air
-from cluttergen_jax.importing.supports import support_with_notes
+from cluttergen_jax.importing.supports import AirBox, air_over, support_with_notes, without_air
 from scenes.furniture import SUPPORTS, make_support
 from tests.helpers.cases import CASES
 

@@ -13,9 +13,8 @@ from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.cli.commands import load
 from cluttergen_jax.errors import BankError, PoolError
 from cluttergen_jax.importing import cache, run
-from cluttergen_jax.importing.job import ObjectConfig
 from cluttergen_jax.importing.readers import ReadOptions, find_sources
-from cluttergen_jax.importing.run import ImportConfig, import_sources
+from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources
 from tests.helpers.imports import made_here
 
 QUICK = ImportConfig(ObjectConfig(trials=8), jobs=1, progress=False)

@@ -105,8 +105,8 @@ def test_up_becomes_z_and_front_becomes_x():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('["crat.obj"]\nmass = 1\n', r"'crat.obj'\] fits no object \(did you mean 'crate.obj'\?\)"),
-        ('["crate.obj"]\nfricton = 1\n', r"'fricton' \(did you mean 'friction'\?\)"),
+        ('["crat.obj"]\nmass = 1\n', r"'crat.obj'\] fits no object. Did you mean 'crate.obj'\?"),
+        ('["crate.obj"]\nfricton = 1\n', r"'fricton'. Did you mean 'friction'\?"),
         ("[crate.obj]\nmass = 1\n", "a pattern in quotes"),
         ('["fox.fbx"]\nmass = 1\n', "it is skipped: FBX"),
         ('["crate.obj"]\nmass = -1\n', "'crate.obj'.*mass = -1.*above zero"),
@@ -152,7 +152,7 @@ def test_a_table_of_a_whole_library(folder, tmp_path):
         ("file,label\nslab.glb,a,b\n", "line 2"),
         ("file,label\nslab.glb,a\nslab.glb,b\n", "line 3: 'slab.glb'"),
         ("file,label\n,a\n", "no file"),
-        ("file,labl\nslab.glb,a\n", "key 'labl'.*did you mean 'label'"),
+        ("file,labl\nslab.glb,a\n", "key 'labl'.*Did you mean 'label'"),
         ("file,mass\nslab.glb,heavy\n", "mass = 'heavy'"),
         ('file,label\nslab.glb,"a\n', "are not a table of CSV: unexpected end of data"),
         ("file,density\nslab.glb,true\n", "density = True. Allowed: a finite number above zero"),

@@ -14,12 +14,11 @@ from cluttergen_jax.assets.solid import solid_of
 from cluttergen_jax.cli.commands import load
 from cluttergen_jax.cli.import_ import print_report
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.importing import job, run
-from cluttergen_jax.importing.job import ObjectConfig, make_job
+from cluttergen_jax.importing import run
 from cluttergen_jax.importing.planning import plan_all
 from cluttergen_jax.importing.readers import ReadOptions, read_shape
-from cluttergen_jax.importing.run import ImportConfig, import_sources
-from cluttergen_jax.importing.table_top import Limits
+from cluttergen_jax.importing.run import ImportConfig, ObjectConfig, import_sources, make_job
+from cluttergen_jax.importing.scenery import Limits
 from tests.helpers.cases import CASES
 from tests.helpers.shapes import make_box
 
@@ -160,7 +159,7 @@ def plain_body(shape, config, trials):
 def quick_import(tmp_path, monkeypatch):
     monkeypatch.setenv("CLUTTERGEN_HOME", str(tmp_path / "home"))
     monkeypatch.setattr(run, "_outcomes", at_once)
-    monkeypatch.setattr(job, "measured_object", plain_body)
+    monkeypatch.setattr(run, "measured_object", plain_body)
 
 
 def test_what_is_too_large_is_told_in_one_block(quick_import, capsys):

@@ -10,6 +10,7 @@ from PIL import Image
 
 from cluttergen_jax.importing.readers import read_source
 from cluttergen_jax.importing.readers.mjcf import read_mjcf
+from cluttergen_jax.importing.readers.source import make_source
 from tests.helpers.drawing import needs_gl
 from tests.helpers.mujoco_pictures import beside
 from tests.helpers.textured import picture
@@ -77,7 +78,7 @@ def write_shape(folder, shape, kind, is_uniform):
 def test_a_picture_is_where_mujoco_draws_it(shape, kind, is_uniform, tmp_path):
     path = write_shape(tmp_path, shape, kind, is_uniform)
     source = mujoco.MjModel.from_xml_path(str(path))
-    pieces = read_mjcf(path).pieces
+    pieces = read_mjcf(make_source(path, "mjcf")).pieces
     differing, overlap = beside(source, pieces)
     # The rest are pixels at the edges between two colours.
     assert differing < 0.07
@@ -107,7 +108,7 @@ def test_each_side_of_a_cube_map_shows_its_own_picture(tmp_path):
         "<geom type='box' size='.05 .03 .02' material='m'/>",
     )
     path.write_text(path.read_text().replace("euler='20 0 0'", ""))
-    (piece,) = read_mjcf(path).pieces
+    (piece,) = read_mjcf(make_source(path, "mjcf")).pieces
     faces = piece.mesh.faces
     shown = np.round(255 * piece.texture.at(piece.uv[faces].mean(1)))
     unit = piece.mesh.vertices[faces].mean(1) / [0.05, 0.03, 0.02]

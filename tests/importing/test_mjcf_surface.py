@@ -11,6 +11,7 @@ from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import read_source
 from cluttergen_jax.importing.readers.mjcf import read_mjcf
+from cluttergen_jax.importing.readers.source import make_source
 from cluttergen_jax.scene.mjcf_file import read_mjcf_scene
 
 CASES = Path(__file__).parents[1] / "cases" / "import"
@@ -147,8 +148,8 @@ def test_what_lies_in_the_world_is_of_furniture_and_is_said_of_an_object(tmp_pat
     drawer = "<body name='drawer' pos='0 0 .6'><joint name='rail' type='slide'/>{}</body>"
     path = tmp_path / "desk.xml"
     path.write_text(f"<mujoco><worldbody>{top}{drawer.format(CARTON)}</worldbody></mujoco>")
-    whole = read_mjcf(path, opened={})
-    alone = read_mjcf(path)
+    whole = read_mjcf(make_source(path, "mjcf"), opened={})
+    alone = read_mjcf(make_source(path, "mjcf"))
     assert (len(whole.pieces), len(alone.pieces)) == (2, 1)
     assert "left out, as they lie in the world beside the body: 1 geoms" in alone.notes
 

@@ -14,7 +14,7 @@ import psutil
 import pytest
 
 from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.importing.processes import Crew, run_all
+from cluttergen_jax.importing.limited import Crew, run_all
 
 
 def reciprocal(number):
@@ -81,7 +81,7 @@ def test_a_lost_job_is_tried_once_more_in_another_way(how):
 
 
 def test_workers_that_cannot_begin_end_the_run():
-    with pytest.raises(ClutterGenError, match=r"status 7.*__main__"):
+    with pytest.raises(ClutterGenError, match=r"before they begin.*__main__"):
         outcomes([Unborn()])
 
 
@@ -98,7 +98,7 @@ def test_workers_do_not_outlive_a_parent_that_is_killed(tmp_path):
     """A worker that computes for ever hears nothing of its parent's end."""
     code = (
         "from tests.importing.test_processes import spin_named\n"
-        "from cluttergen_jax.importing.processes import Crew\n"
+        "from cluttergen_jax.importing.limited import Crew\n"
         f"jobs = [{str(tmp_path)!r}]\n"
         "next(Crew(spin_named, 1).outcomes(jobs))\n"
     )

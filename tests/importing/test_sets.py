@@ -10,7 +10,7 @@ import trimesh
 
 from cluttergen_jax.importing.planning import plan_all
 from cluttergen_jax.importing.readers import ReadOptions, read_shape
-from cluttergen_jax.importing.sets import layouts
+from cluttergen_jax.importing.readers.sets import layouts
 from tests.helpers.shapes import save_box
 
 BODY = '<body name="{}"><geom type="box" size=".02 .02 .02"/></body>'

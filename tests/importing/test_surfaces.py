@@ -9,8 +9,7 @@ from cluttergen_jax.assets.outline import ring_area
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.assets.support_map import free_height, surface_heights
 from cluttergen_jax.geometry import rotate_in_plane
-from cluttergen_jax.importing.support_collision import collision_of
-from cluttergen_jax.importing.supports import support_with_notes
+from cluttergen_jax.importing.supports import collision_of, support_with_notes
 from scenes.furniture import SUPPORTS, make_support
 
 SOURCE = Provenance("test", "Apache-2.0")

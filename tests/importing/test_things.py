@@ -9,11 +9,11 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.cli.import_ import left_out_text
 from cluttergen_jax.errors import AssetError, ConfigError
 from cluttergen_jax.importing.cache import cache_key
-from cluttergen_jax.importing.job import Job, ObjectConfig, make_job
 from cluttergen_jax.importing.planning import plan_all
 from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
 from cluttergen_jax.importing.readers.things import SeveralThings, read_thing
-from cluttergen_jax.importing.table_top import SEVERAL, LeftOut, Limits
+from cluttergen_jax.importing.run import Job, ObjectConfig, make_job
+from cluttergen_jax.importing.scenery import SEVERAL, LeftOut, Limits
 from tests.helpers.cases import CASES
 
 THREE = CASES / "25_several_in_one" / "three.glb"

@@ -7,8 +7,8 @@ import pytest
 
 from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.importing import cache
-from cluttergen_jax.importing.job import ObjectConfig
 from cluttergen_jax.importing.readers import find_sources, read_shape, read_source, survey
+from cluttergen_jax.importing.run import ObjectConfig
 from tests.helpers.shapes import save_box
 
 URDF = """<robot name="r"><link name="a"><visual><geometry><mesh filename="{}"/></geometry></visual></link>

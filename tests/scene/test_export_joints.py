@@ -10,8 +10,7 @@ from cluttergen_jax.assets.shading import box_mesh
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
-from cluttergen_jax.importing.support_collision import estimates_of, with_joints
-from cluttergen_jax.importing.supports import support_with_notes
+from cluttergen_jax.importing.supports import estimates_of, support_with_notes, with_joints
 from cluttergen_jax.scene.export import export_scenes
 
 OPEN = 0.2

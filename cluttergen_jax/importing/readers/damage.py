@@ -21,11 +21,12 @@ _UNKNOWN = (0, 2**31 - 1, 2**32 - 1)
 """Counts that stand for none."""
 
 
-def is_text_stl(data: bytes, size: int) -> bool:
-    """Whether a file of `size` bytes is of text, by its length and its first thousand bytes or more.
+def is_text_stl(data: bytes) -> bool:
+    """Whether a file is of text, by its length and its first thousand bytes.
 
     The free head of a binary file may begin with the first word of text files.
     """
+    size = len(data)
     if size < _HEAD or size == _HEAD + _RECORD.itemsize * announced_count(data):
         return size < _HEAD
     head = data[:1084]
@@ -60,7 +61,7 @@ def num_triangles(data: bytes, count: int) -> int | None:
 def sound_stl(data: bytes) -> tuple[bytes, tuple[str, ...]]:
     """A binary file with a true count and nothing after its triangles, and what was wrong with it."""
     count = announced_count(data)
-    if is_text_stl(data, len(data)) or (number := num_triangles(data, count)) is None:
+    if is_text_stl(data) or (number := num_triangles(data, count)) is None:
         return data, ()
     end = _HEAD + _RECORD.itemsize * number
     notes = []
@@ -122,7 +123,6 @@ def refuse_stand_in(path: Path) -> None:
 _AGAIN = "fetching or exporting the file again"
 # OBJ counts from one (or backwards from -1); a zero would be taken for the last vertex.
 _OBJ_ZERO = re.compile(rb"^[ \t]*f[^\n]*[ \t][+-]?0+(?=[/\s]|$)", re.MULTILINE)
-_PLY_COUNT = re.compile(rb"^element\s+\S+\s+(\d+)", re.MULTILINE)
 _MOST_ZEROS = 16_000_000
 """Elements of an accessor without data of its own, which stands for zeros or for what is compressed."""
 
@@ -136,21 +136,13 @@ def check_whole(path: Path) -> None:
     Raises:
       AssetError: the file is empty, is too short for what its header announces, or has a face with vertex 0.
     """
-    if path.stat().st_size == 0:
+    data = path.read_bytes()
+    if not data:
         raise AssetError(f"{path} is empty", "a mesh file with triangles", _AGAIN)
     refuse_stand_in(path)
-    checks = {
-        ".glb": _check_glb,
-        ".gltf": _check_gltf,
-        ".stl": _check_stl,
-        ".ply": _check_ply,
-        ".obj": _check_obj,
-        ".dae": _check_dae,
-    }
-    if (check := checks.get(path.suffix.lower())) is None:
-        return
     try:
-        check(path)
+        if check := _CHECKS.get(path.suffix.lower()):
+            check(path, data)
     except RecursionError as error:
         raise AssetError(
             f"{path} cannot be read as a mesh: its header is nested too deeply"
@@ -185,8 +177,7 @@ def ply_of_polygons(path: Path) -> AssetError:
     )
 
 
-def _check_obj(path: Path) -> None:
-    data = path.read_bytes()
+def _check_obj(path: Path, data: bytes) -> None:
     if found := _OBJ_ZERO.search(data):
         line = data.count(b"\n", 0, found.start()) + 1
         raise AssetError(
@@ -199,7 +190,7 @@ def _check_obj(path: Path) -> None:
 _NO_NUMBER = re.compile(r"(?<!\S)\S*(?:nan|inf)\S*", re.IGNORECASE)
 
 
-def _check_dae(path: Path) -> None:
+def _check_dae(path: Path, data: bytes) -> None:
     """pycollada puts a zero where a coordinate is no number."""
     tree = parse_xml(path)
     elements = [] if tree is None else list(tree.iter())
@@ -252,24 +243,23 @@ def _too_short(path: Path, what: str, needed: int, held: int) -> AssetError:
     )
 
 
-def _check_glb(path: Path) -> None:
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        magic, _, length, json_length, kind = struct.unpack("<4sIII4s", file.read(20))
-        if magic != b"glTF" or kind != b"JSON":
-            raise ValueError("it does not begin as a GLB file does")
-        if max(length, 20 + json_length) > size:
-            raise _too_short(path, "what its header announces", max(length, 20 + json_length), size)
-        document = json.loads(file.read(json_length))
-        head = file.read(8)
-        binary = struct.unpack("<I4s", head)[0] if len(head) == 8 else 0
+def _check_glb(path: Path, data: bytes) -> None:
+    size = len(data)
+    magic, _, length, json_length, kind = struct.unpack("<4sIII4s", data[:20])
+    if magic != b"glTF" or kind != b"JSON":
+        raise ValueError("it does not begin as a GLB file does")
+    if max(length, 20 + json_length) > size:
+        raise _too_short(path, "what its header announces", max(length, 20 + json_length), size)
+    document = json.loads(data[20 : 20 + json_length])
+    head = data[20 + json_length : 28 + json_length]
+    binary = struct.unpack("<I4s", head)[0] if len(head) == 8 else 0
     if 28 + json_length + binary > size and binary:
         raise _too_short(path, "its binary chunk", binary, size - 28 - json_length)
     _check_document(path, document, binary)
 
 
-def _check_gltf(path: Path) -> None:
-    _check_document(path, json.loads(path.read_bytes()), 0)
+def _check_gltf(path: Path, data: bytes) -> None:
+    _check_document(path, json.loads(data), 0)
 
 
 def _check_document(path: Path, document: Json, binary: int) -> None:
@@ -331,48 +321,51 @@ def _buffer_size(path: Path, uri: str | None, binary: int) -> int:
     return buffer_file(path, uri).stat().st_size
 
 
-def _check_stl(path: Path) -> None:
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        head = file.read(1084)
-    if len(head) >= 84 and not is_text_stl(head, size):
-        count = announced_count(head)
-        if size != 84 + 50 * count and num_triangles(path.read_bytes(), count) is None:
-            raise _too_short(
-                path, f"a binary STL file of {count:,} triangles", 84 + 50 * count, size
-            )
-    data = path.read_bytes()
-    if b"\0" not in head[:512] and data.count(b"endfacet") < data.count(b"facet normal"):
+def _check_stl(path: Path, data: bytes) -> None:
+    size = len(data)
+    if size >= _HEAD and not is_text_stl(data):
+        count = announced_count(data)
+        if num_triangles(data, count) is None:
+            what = f"a binary STL file of {count:,} triangles"
+            raise _too_short(path, what, _HEAD + _RECORD.itemsize * count, size)
+    if b"\0" not in data[:512] and data.count(b"endfacet") < data.count(b"facet normal"):
         raise AssetError(f"{path} is cut short: its last triangle has no end", hint=_AGAIN)
 
 
-def _check_ply(path: Path) -> None:
+def _check_ply(path: Path, data: bytes) -> None:
     """A row takes at least the bytes of its properties, or in text a digit and a space for each."""
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        head = file.read(1 << 16)
-    text, end, _ = head.partition(b"end_header")
+    text, end, body = data.partition(b"end_header")
     if not end:
         return
     is_text = re.search(rb"format\s+ascii", text) is not None
     needed = 0
     count = 0
+    promised = 0
     for line in text.decode("latin-1").splitlines():
         words = line.split()
         if words[:1] == ["element"]:
             count = _count(int(words[2]))
+            promised += count
         elif words[:1] == ["property"]:
             # An empty list is still its own length.
-            needed += count * (
-                2 if is_text else _PLY_BYTES.get(words[2 if words[1] == "list" else 1], 4)
-            )
-    if needed > size - len(text):
-        raise _too_short(path, "what its header announces", needed, size - len(text))
-    head, _, body = path.read_bytes().partition(b"end_header")
-    promised = sum(int(number) for number in _PLY_COUNT.findall(head))
-    held = sum(bool(line.strip()) for line in body.splitlines())
-    if b"format ascii" in head and held < promised:
+            kind = words[2 if words[1] == "list" else 1]
+            needed += count * (2 if is_text else _PLY_BYTES.get(kind, 4))
+    held = len(data) - len(text)
+    if needed > held:
+        raise _too_short(path, "what its header announces", needed, held)
+    num_rows = sum(bool(line.strip()) for line in body.splitlines()) if is_text else promised
+    if num_rows < promised:
         raise AssetError(
-            f"{path} is cut short: its head promises {promised:,} vertices and faces, it has {held:,}",
+            f"{path} is cut short: its head promises {promised:,} vertices and faces, it has {num_rows:,}",
             hint=_AGAIN,
         )
+
+
+_CHECKS = {
+    ".glb": _check_glb,
+    ".gltf": _check_gltf,
+    ".stl": _check_stl,
+    ".ply": _check_ply,
+    ".obj": _check_obj,
+    ".dae": _check_dae,
+}

@@ -106,45 +106,112 @@ def is_coloured_by_vertices(document: Json, primitive: Json) -> bool:
     return "baseColorTexture" not in look and look.get("baseColorFactor", _WHITE)[:3] == _WHITE[:3]
 
 
-class Buffers:
-    """The bytes of a glTF file, read when they are asked for.
+class _Content:
+    """The bytes of a glTF file and its accessors as arrays, read when they are asked for.
 
     Args:
       path: the file. document: its JSON.
-
-    Attributes:
-      path: the file.
     """
 
     def __init__(self, path: Path, document: Json) -> None:
-        self.path = path
+        self._path = path
         self._document = document
-        self._read: dict[int, bytes] = {}
+        self._bytes: dict[int, bytes] = {}
 
     def view(self, index: int) -> bytes:
         """The bytes of one buffer view."""
         view = self._document["bufferViews"][index]
         start = view.get("byteOffset", 0)
-        return self.buffer(view["buffer"])[start : start + view["byteLength"]]
+        return self._buffer(view["buffer"])[start : start + view["byteLength"]]
 
-    def buffer(self, index: int) -> bytes:
+    def _buffer(self, index: int) -> bytes:
         """The bytes of one buffer, empty where the file has none for it.
 
         Raises:
           AssetError: it names a file that is not there.
         """
-        if index not in self._read:
+        if index not in self._bytes:
             uri = self._document["buffers"][index].get("uri")
             # A GLB file's own bytes are its first buffer's.
-            own = _binary_chunk(self.path) if uri is None and index == 0 else b""
-            self._read[index] = own if uri is None else self._bytes_at(uri)
-        return self._read[index]
+            own = _binary_chunk(self._path) if uri is None and index == 0 else b""
+            self._bytes[index] = own if uri is None else self._bytes_at(uri)
+        return self._bytes[index]
 
     def _bytes_at(self, uri: str) -> bytes:
         if uri.startswith("data:"):
             head, _, body = uri.partition(",")
             return base64.b64decode(body) if head.endswith(";base64") else unquote_to_bytes(body)
-        return buffer_file(self.path, uri).read_bytes()
+        return buffer_file(self._path, uri).read_bytes()
+
+    def accessor(self, index: int, raw: np.ndarray | None = None) -> np.ndarray:
+        """[N, width]: an accessor's elements; floats in [-1, 1] where its integers are normalised.
+
+        Args:
+          raw: its elements, where they come from elsewhere.
+        """
+        accessor = self._document["accessors"][index]
+        array = self._dense(accessor) if raw is None else raw
+        array = self._with_sparse(array, accessor["sparse"]) if "sparse" in accessor else array
+        if accessor.get("normalized") and array.dtype.kind in "iu":
+            return np.maximum(
+                array / np.iinfo(np.dtype(DTYPES[accessor["componentType"]])).max, -1.0
+            )
+        return array
+
+    def primitive(self, primitive: Json) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
+        """The attributes of a primitive by name, and its indices i[M] if it has any."""
+        attributes = primitive["attributes"]
+        indices = None
+        raw: dict[str, np.ndarray] = {}
+        compressed = primitive.get("extensions", {}).get(DRACO)
+        if (
+            compressed is not None
+            and "bufferView" not in self._document["accessors"][attributes["POSITION"]]
+        ):
+            raw, indices = self._draco(compressed)
+        arrays = {name: self.accessor(index, raw.get(name)) for name, index in attributes.items()}
+        if indices is None and "indices" in primitive:
+            indices = self.accessor(primitive["indices"]).reshape(-1)
+        return arrays, indices
+
+    def _dense(self, accessor: Json) -> np.ndarray:
+        shape = accessor["count"], WIDTHS[accessor["type"]]
+        if "bufferView" not in accessor:
+            return np.zeros(shape, DTYPES[accessor["componentType"]])
+        stride = self._document["bufferViews"][accessor["bufferView"]].get("byteStride", 0)
+        return self._read(accessor["bufferView"], accessor, shape, stride)
+
+    def _read(self, view: int, where: Json, shape: tuple[int, int], stride: int = 0) -> np.ndarray:
+        dtype = np.dtype(DTYPES[where["componentType"]])
+        data = self.view(view)
+        strides = stride or dtype.itemsize * shape[1], dtype.itemsize
+        return np.ndarray(shape, dtype, data, where.get("byteOffset", 0), strides).copy()
+
+    def _with_sparse(self, array: np.ndarray, sparse: Json) -> np.ndarray:
+        """The array with the elements replaced that are stored beside it."""
+        places = sparse["indices"]
+        values = sparse["values"]
+        index = self._read(places["bufferView"], places, (sparse["count"], 1))[:, 0]
+        new = {
+            **values,
+            "componentType": next(k for k, v in DTYPES.items() if array.dtype == np.dtype(v)),
+        }
+        array = array.copy()
+        array[index] = self._read(values["bufferView"], new, (sparse["count"], array.shape[1]))
+        return array
+
+    def _draco(self, compressed: Json) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        try:
+            import DracoPy
+        except ImportError as error:
+            raise AssetError(f"{self._path} with {DRACO}", hint="pip install DracoPy") from error
+        decoded = DracoPy.decode(self.view(compressed["bufferView"]))
+        by_id = {each["unique_id"]: np.asarray(each["data"]) for each in decoded.attributes}
+        by_id = {index: data.reshape(len(data), -1) for index, data in by_id.items()}
+        arrays = {
+            name: by_id[index] for name, index in compressed["attributes"].items() if index in by_id
+        }
+        return arrays, np.asarray(decoded.faces).reshape(-1)
 
 
 def buffer_file(path: Path, uri: str) -> Path:
@@ -260,90 +327,6 @@ def _is_all_that_there_is(name: str, document: Json) -> bool:
     )
 
 
-class Arrays:
-    """Accessors of a glTF file as arrays.
-
-    Args:
-      document: the file's JSON. buffers: its bytes.
-    """
-
-    def __init__(self, document: Json, buffers: Buffers) -> None:
-        self._document = document
-        self._buffers = buffers
-
-    def accessor(self, index: int, raw: np.ndarray | None = None) -> np.ndarray:
-        """[N, width]: an accessor's elements; floats in [-1, 1] where its integers are normalised.
-
-        Args:
-          raw: its elements, where they come from elsewhere.
-        """
-        accessor = self._document["accessors"][index]
-        array = self._dense(accessor) if raw is None else raw
-        array = self._with_sparse(array, accessor["sparse"]) if "sparse" in accessor else array
-        if accessor.get("normalized") and array.dtype.kind in "iu":
-            return np.maximum(
-                array / np.iinfo(np.dtype(DTYPES[accessor["componentType"]])).max, -1.0
-            )
-        return array
-
-    def primitive(self, primitive: Json) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
-        """The attributes of a primitive by name, and its indices i[M] if it has any."""
-        attributes = primitive["attributes"]
-        indices = None
-        raw: dict[str, np.ndarray] = {}
-        compressed = primitive.get("extensions", {}).get(DRACO)
-        if (
-            compressed is not None
-            and "bufferView" not in self._document["accessors"][attributes["POSITION"]]
-        ):
-            raw, indices = self._draco(compressed)
-        arrays = {name: self.accessor(index, raw.get(name)) for name, index in attributes.items()}
-        if indices is None and "indices" in primitive:
-            indices = self.accessor(primitive["indices"]).reshape(-1)
-        return arrays, indices
-
-    def _dense(self, accessor: Json) -> np.ndarray:
-        shape = accessor["count"], WIDTHS[accessor["type"]]
-        if "bufferView" not in accessor:
-            return np.zeros(shape, DTYPES[accessor["componentType"]])
-        stride = self._document["bufferViews"][accessor["bufferView"]].get("byteStride", 0)
-        return self._read(accessor["bufferView"], accessor, shape, stride)
-
-    def _read(self, view: int, where: Json, shape: tuple[int, int], stride: int = 0) -> np.ndarray:
-        dtype = np.dtype(DTYPES[where["componentType"]])
-        data = self._buffers.view(view)
-        strides = stride or dtype.itemsize * shape[1], dtype.itemsize
-        return np.ndarray(shape, dtype, data, where.get("byteOffset", 0), strides).copy()
-
-    def _with_sparse(self, array: np.ndarray, sparse: Json) -> np.ndarray:
-        """The array with the elements replaced that are stored beside it."""
-        places = sparse["indices"]
-        values = sparse["values"]
-        index = self._read(places["bufferView"], places, (sparse["count"], 1))[:, 0]
-        new = {
-            **values,
-            "componentType": next(k for k, v in DTYPES.items() if array.dtype == np.dtype(v)),
-        }
-        array = array.copy()
-        array[index] = self._read(values["bufferView"], new, (sparse["count"], array.shape[1]))
-        return array
-
-    def _draco(self, compressed: Json) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        try:
-            import DracoPy
-        except ImportError as error:
-            raise AssetError(
-                f"{self._buffers.path} with {DRACO}", hint="pip install DracoPy"
-            ) from error
-        decoded = DracoPy.decode(self._buffers.view(compressed["bufferView"]))
-        by_id = {each["unique_id"]: np.asarray(each["data"]) for each in decoded.attributes}
-        by_id = {index: data.reshape(len(data), -1) for index, data in by_id.items()}
-        arrays = {
-            name: by_id[index] for name, index in compressed["attributes"].items() if index in by_id
-        }
-        return arrays, np.asarray(decoded.faces).reshape(-1)
-
-
 _FAN = 6
 _MOST_COPIES = 10_000
 
@@ -412,10 +395,10 @@ class _Plain:
     def __init__(self, path: Path, document: Json) -> None:
         self._path = path
         self._old = document
-        self._buffers = Buffers(path, document)
-        self._arrays = Arrays(document, self._buffers)
+        self._content = _Content(path, document)
         self._nodes: list[Json] = [dict(node) for node in document.get("nodes", [])]
         self._roots = _roots(document)
+        self._world: dict[int, np.ndarray] = {}
         self._meshes: list[Json] = []
         self._accessors: list[Json] = []
         self._views: list[Json] = []
@@ -425,8 +408,9 @@ class _Plain:
     def build(self) -> bytes:
         """The new file."""
         images = [self._image(image) for image in self._old.get("images", [])]
-        for index, place in list(self._world_places()):
-            self._draw(self._nodes[index], place)
+        self._place_nodes()
+        for index in self._world:
+            self._draw(self._nodes[index])
         kept = {
             key: self._old[key]
             for key in ("asset", "materials", "textures", "samplers")
@@ -442,9 +426,8 @@ class _Plain:
         }
         return glb(kept | new | ({"images": images} if images else {}), bytes(self._binary))
 
-    def _world_places(self) -> Iterator[tuple[int, np.ndarray]]:
-        """Every node of the scene with where it is in it, f64[4, 4]."""
-        self._world: dict[int, np.ndarray] = {}
+    def _place_nodes(self) -> None:
+        """Where every node of the scene is in it, f64[4, 4]."""
         todo = [(index, np.eye(4)) for index in self._roots]
         while todo:
             index, parent = todo.pop()
@@ -454,9 +437,8 @@ class _Plain:
             todo += [
                 (child, self._world[index]) for child in self._nodes[index].get("children", [])
             ]
-        return iter(self._world.items())
 
-    def _draw(self, node: Json, place: np.ndarray) -> None:
+    def _draw(self, node: Json) -> None:
         """Replaces what the node draws by plain meshes."""
         mesh, skin, weights = (node.pop(key, None) for key in ("mesh", "skin", "weights"))
         copies = node.pop("extensions", {}).get(INSTANCING)
@@ -483,7 +465,9 @@ class _Plain:
     def _copies(self, attributes: dict[str, int]) -> list[Json]:
         """Where each copy of a mesh is, in its node's frame."""
         names = [name for name in ("TRANSLATION", "ROTATION", "SCALE") if name in attributes]
-        columns = {name.lower(): self._arrays.accessor(attributes[name]).tolist() for name in names}
+        columns = {
+            name.lower(): self._content.accessor(attributes[name]).tolist() for name in names
+        }
         count = max(map(len, columns.values()), default=0)
         if count > _MOST_COPIES:
             raise AssetError(
@@ -505,11 +489,11 @@ class _Plain:
         return self._known[key]
 
     def _primitive(self, old: Json, weights: tuple[float, ...], skin: int | None) -> Json:
-        arrays, indices = self._arrays.primitive(old)
+        arrays, indices = self._content.primitive(old)
         points = arrays["POSITION"].astype(np.float64)
         for weight, target in zip(weights, old.get("targets", []), strict=False):
             if weight and "POSITION" in target:
-                points = points + weight * self._arrays.accessor(target["POSITION"])
+                points = points + weight * self._content.accessor(target["POSITION"])
         if skin is not None:
             points = self._apply_skin(points, arrays, self._old["skins"][skin])
         mode = old.get("mode", 4)
@@ -533,7 +517,7 @@ class _Plain:
         """f64[V, 3] in the scene, as the joints stand in the file."""
         joints = np.array([self._world[joint] for joint in skin["joints"]])
         if "inverseBindMatrices" in skin:
-            stored = self._arrays.accessor(skin["inverseBindMatrices"])[: len(joints)]
+            stored = self._content.accessor(skin["inverseBindMatrices"])[: len(joints)]
             joints = joints @ stored.reshape(-1, 4, 4).transpose(0, 2, 1)
         blend = np.zeros((len(points), 4, 4))
         total = np.zeros(len(points))
@@ -569,7 +553,7 @@ class _Plain:
     def _image(self, image: Json) -> Json:
         if "bufferView" not in image:
             return image
-        return image | {"bufferView": self._view(self._buffers.view(image["bufferView"]))}
+        return image | {"bufferView": self._view(self._content.view(image["bufferView"]))}
 
 
 def _roots(document: Json) -> list[int]:

@@ -252,13 +252,9 @@ def mean_colour(visual: Any, is_linear: bool = False) -> Rgba:
             return GREY
     except Exception:  # A broken texture must not cost the object.
         return GREY
-    r, g, b, a = np.asarray(colours, np.float64).reshape(-1, 4).mean(0).clip(0, 1)
-    return (
-        round(float(r), 4),
-        round(float(g), 4),
-        round(float(b), 4),
-        round(float(max(a, 0.2)), 4),
-    )
+    mean = np.asarray(colours, np.float64).reshape(-1, 4).mean(0).clip(0, 1)
+    r, g, b, a = (round(each, 4) for each in mean.tolist())
+    return r, g, b, max(a, 0.2)
 
 
 def _texture_colours(visual: Any, is_linear: bool) -> np.ndarray:

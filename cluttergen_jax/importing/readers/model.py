@@ -17,6 +17,7 @@ from cluttergen_jax.errors import ConfigError, closest, first_names
 
 MAX_PARTS = 32
 _HAIR = 1e-6
+_FILLS = 1 - 0.02
 _MOST_NAMES = 20
 _HEAVIEST = 1000.0
 """Kilograms of what moves on a joint of furniture."""
@@ -141,15 +142,15 @@ def unknown_body(body: str, path: Path, known: Iterable[str], what: str = "body"
     )
 
 
-def convex_parts(meshes: list[Mesh], tolerance: float = 0.02) -> tuple[Mesh, ...] | None:
+def convex_parts(meshes: list[Mesh]) -> tuple[Mesh, ...] | None:
     """The vertices of each mesh as a part, if there are few and each fills its hull; else None.
 
-    A mesh fills its hull if the volume that its triangles enclose is within `tolerance` of the hull's.
+    A mesh fills its hull if the volume that its triangles enclose is within 2 % of the hull's.
     """
     if not 0 < len(meshes) <= MAX_PARTS:
         return None
     for mesh in meshes:
         hull = hull_of(mesh.vertices)
-        if hull is None or not abs(mesh.volume) > (1 - tolerance) * hull.volume:
+        if hull is None or not abs(mesh.volume) > _FILLS * hull.volume:
             return None
     return tuple(Mesh.points(mesh.vertices) for mesh in meshes)

@@ -27,9 +27,8 @@ from cluttergen_jax.importing.readers.source import (
     turn_of,
 )
 from cluttergen_jax.importing.readers.things import read_thing
-from cluttergen_jax.importing.readers.tree import find_sources
+from cluttergen_jax.importing.readers.tree import find_sources, ycb_provenance
 from cluttergen_jax.importing.readers.urdf import read_urdf
-from cluttergen_jax.importing.readers.ycb_scans import ycb_provenance
 
 MIN_SIZE = 0.005
 MAX_SIZE = 2.0
@@ -70,7 +69,9 @@ def read_shape(
       ConfigError: there is no such joint, or it does not go so far.
     """
     options = options or ReadOptions()
-    model, mass_scale = _model(source, options, joints, is_whole)
+    model = _model(source, options, joints, is_whole)
+    # In URDF and SDF a mass is written as it is; most of MJCF's are a density times a volume, which it keeps.
+    mass_scale = options.scale**3 if source.kind == "mjcf" else 1.0
     own = own_up(source.path, source.kind)
     rotation = turn_of(options.up if options.up in AXES else own.axis, options.front)
     turn = rotation * options.scale * np.array(source.stretch)
@@ -87,6 +88,8 @@ def read_shape(
     if any(piece is not before for piece, before in zip(pieces, model.pieces, strict=True)):
         notes = (*notes, "its surface lay flat over itself in places: they are cut anew")
     pieces = bake_colours(pieces, options.max_texture)
+    kept = () if joints is None else model.joints
+    moved = (each.transform(rotation, options.scale, np.zeros(3), mass_scale) for each in kept)
     shape = Shape(
         name=source.name,
         label=source.label,
@@ -105,12 +108,7 @@ def read_shape(
         stated_up=f"{own.axis} up, {own.reason}" if own.is_stated else "",
         is_from_file=True,
         keeps_parts=bool(source.parts),
-        joints=()
-        if joints is None
-        else tuple(
-            each.transform(rotation, options.scale, np.zeros(3), mass_scale)
-            for each in model.joints
-        ),
+        joints=tuple(moved),
     )
     _check_size(shape, source.path, smallest, largest)
     return shape
@@ -118,27 +116,23 @@ def read_shape(
 
 def _model(
     source: ObjectFile, options: ReadOptions, joints: Mapping[str, float] | None, is_whole: bool
-) -> tuple[Model, float]:
-    """What the file holds, and the factor on its masses.
-
-    In URDF and SDF a mass is written as it is; most of MJCF's are a density times a volume: that keeps it.
-    """
+) -> Model:
+    side = options.max_texture
+    if source.kind == "mjcf":
+        return read_mjcf(source, side, joints)
     if source.kind == "urdf":
-        return read_urdf(source.path, options.max_texture, joints or {}, source.body), 1.0
-    if joints and source.kind != "mjcf":
+        return read_urdf(source, side, joints)
+    if joints:
         raise ConfigError(
             f"joints of {source.path.name} ({source.kind})",
             "those of a URDF or MJCF file",
             "no `joint`",
         )
     if source.kind == "sdf":
-        return read_sdf(source.path, source.body, options.max_texture, source.bodies), 1.0
-    if source.kind == "mjcf":
-        model = read_mjcf(source.path, source.body, options.max_texture, joints, source.bodies)
-        return model, options.scale**3
-    file = read_thing(source.path, options.max_texture, source.body, is_whole)
+        return read_sdf(source, side)
+    file = read_thing(source.path, side, source.body, is_whole)
     model = Model(file.pieces, None, None, file.notes)
-    return with_kept_parts(model, source.parts) if source.parts else model, 1.0
+    return with_kept_parts(model, source.parts) if source.parts else model
 
 
 def read_source(path: str | Path, options: ReadOptions | None = None) -> list[Shape]:

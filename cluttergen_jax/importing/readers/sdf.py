@@ -6,7 +6,7 @@ Includes are put where Gazebo and Drake put them.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -28,6 +28,7 @@ from cluttergen_jax.importing.readers.opening import (
     mesh_place,
     read_file,
 )
+from cluttergen_jax.importing.readers.source import ObjectFile
 from cluttergen_jax.importing.readers.xml_tree import (
     BROKEN,
     Element,
@@ -304,27 +305,26 @@ _MOST_FRAMES = 100
 _SCRIPTS = ("materials/scripts", ".")
 
 
-def read_sdf(
-    path: Path, name: str = "", max_side: int = MAX_TEXTURE, bodies: Sequence[str] = ()
-) -> Model:
+def read_sdf(source: ObjectFile, max_side: int = MAX_TEXTURE) -> Model:
     """One model of a file as one rigid thing, all its joints as they are drawn.
 
     Its own pose turns it, as where it is put into an empty world. Meshes are taken in their own frame, in
     the unit that they declare, as Gazebo does.
 
     Args:
-      name: of the model, or "#" and its number; or of a link of the only one, taken alone; the only model
-        if empty.
+      source: its body is the model's name, or "#" and its number; or a link of the only one, taken alone; the
+        only model if empty. Its bodies are several models, named likewise, that are one piece of furniture.
       max_side: pixels; larger images are shrunk.
-      bodies: several models, named likewise, that are one piece of furniture.
 
     Raises:
       AssetError: the file, or one that it names, is missing or cannot be understood; the message names it.
       ConfigError: it has no model or link of that name.
     """
+    path = source.path
+    name = source.body
     tree = read_sdf_tree(path)
     found = dict(models(tree.root))
-    chosen = [found[each] for each in bodies or (name,) if each in found]
+    chosen = [found[each] for each in source.bodies or (name,) if each in found]
     if not chosen:
         own = [each for each in found.values() if not is_from_elsewhere(each)]
         chosen = [*own, *found.values()][:1]

@@ -35,6 +35,7 @@ from cluttergen_jax.importing.readers.model import (
     unknown_body,
 )
 from cluttergen_jax.importing.readers.opening import mesh_place
+from cluttergen_jax.importing.readers.source import ObjectFile
 from cluttergen_jax.importing.readers.xml_tree import (
     BROKEN,
     Element,
@@ -243,21 +244,18 @@ class Joints:
         for place, joint in enumerate(own):
             T_model_joint = poses[self._link_of(joint, "child")]
             axis = self._axis(joint)
+            axis = T_model_joint[:3, :3] @ (axis / np.linalg.norm(axis))
             is_turn = joint.get("type") in _TURNS
             limits = self._limits(joint)
             made = Joint(
                 name=joint.get("name", ""),
                 kind="hinge" if is_turn else "slide",
                 anchor=tuple(T_model_joint[:3, 3].tolist()),
-                axis=tuple((axis / np.linalg.norm(axis)).tolist()),
+                axis=tuple(axis.tolist()),
                 value=self.value(joint),
                 range=limits if np.isfinite(limits).all() else None,
                 parent=mover(self._link_of(joint, "parent")),
                 pieces=tuple(piece for piece, by in enumerate(movers) if by == place),
-            )
-            made = replace(
-                made,
-                axis=tuple((T_model_joint[:3, :3] @ made.axis).tolist()),
                 damping=self._dynamics(joint, "damping"),
                 friction=self._dynamics(joint, "friction"),
             )
@@ -355,10 +353,9 @@ _MOVABLE = ("revolute", "prismatic", "continuous", "floating", "planar")
 
 
 def read_urdf(
-    path: Path,
+    source: ObjectFile,
     max_side: int = MAX_TEXTURE,
     opened: Mapping[str, float] | None = None,
-    body: str = "",
 ) -> Model:
     """The model as one rigid thing; its parts are its collision meshes if all of them are convex.
 
@@ -367,14 +364,16 @@ def read_urdf(
     has and is not applied. Masses are kilograms whatever the scale.
 
     Args:
+      source: its body is a link that is taken alone, with what hangs on it; all if empty.
       max_side: pixels; larger images are shrunk.
       opened: where joints are to be, see `Joints`.
-      body: a link that is taken alone, with what hangs on it; all if empty.
 
     Raises:
       AssetError: the file, or one that it names, is missing or cannot be understood; the message names it.
       ConfigError: there is no such joint or link, or the joint does not go so far.
     """
+    path = source.path
+    body = source.body
     robot = _parse(path)
     movable = (joint for joint in robot.findall("joint") if joint.find("mimic") is None)
     names = [

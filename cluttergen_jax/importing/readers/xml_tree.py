@@ -52,12 +52,10 @@ def parse_text(data: bytes) -> Element:
         )
     try:
         root = ElementTree.fromstring(data)
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
-        try:
-            root = _parse_as_tinyxml(as_utf8(data).decode())
-        except _NoXmlError as fault:
-            # Of a file that neither can read, a fault of the latter's is said where it says more.
-            raise (fault if fault.says_more else error) from error
+    except (ElementTree.ParseError, ValueError, LookupError):
+        if (lenient := _parse_as_tinyxml(as_utf8(data).decode())) is None:
+            raise
+        root = lenient
     _check_extent(root)
     return root
 
@@ -78,10 +76,6 @@ def _check_extent(root: Element) -> None:
         todo += [(child, depth + 1) for child in element]
 
 
-class _NoXmlError(ValueError):
-    says_more = False
-
-
 _NAME = r"[A-Za-z_:\x80-\U0010ffff][\w:.\-\x80-\U0010ffff]*+"
 _VALUE = r"\"[^\"]*+\"|'[^']*+'"
 _ATTRIBUTE = re.compile(rf"\s*+({_NAME})\s*+=\s*+({_VALUE})")
@@ -96,17 +90,17 @@ _REFERENCE = re.compile(r"&(?:#x([0-9a-fA-F]{1,6})|#([0-9]{1,7})|(quot|amp|apos|
 _MEANT = {"quot": '"', "amp": "&", "apos": "'", "lt": "<", "gt": ">"}
 
 
-def _parse_as_tinyxml(text: str) -> Element:
-    """The tree of a text by tinyxml2's rules: text before the root and behind it is passed over.
+def _parse_as_tinyxml(text: str) -> Element | None:
+    """The tree of a text by tinyxml2's rules; None if it is none by these either.
 
-    A prefix that is not declared counts as the name of its own namespace, of an attribute that comes twice
-    the first holds, and an entity that is unknown is text.
+    Text before the root and behind it is passed over. A prefix that is not declared counts as the name of its
+    own namespace, of an attribute that comes twice the first holds, and an entity that is unknown is text.
     """
     builder = ElementTree.TreeBuilder()
     open_tags = list[str]()
     is_over = False
     place = 0
-    while place < len(text):
+    while 0 <= place < len(text):
         start = text.find("<", place)
         start = len(text) if start < 0 else start
         if open_tags:
@@ -121,39 +115,28 @@ def _parse_as_tinyxml(text: str) -> Element:
             place = _behind(text, start, ends)
         elif found := _END_TAG.match(text, start):
             if not open_tags or open_tags.pop() != found[1]:
-                raise _fault(text, start, f"</{found[1]}> closes no element that is open")
+                return None
             builder.end(_expanded(found[1]))
             is_over = not open_tags
             place = found.end()
         elif found := _TAG.match(text, start):
             if is_over:
-                raise _fault(text, start, f"a second root, <{found['name']}>")
+                return None
             builder.start(_expanded(found["name"]), _attributes(found["values"]))
             open_tags.append(found["name"])
-            if len(open_tags) > _MOST_DEEP:
-                raise _fault(text, start, _TOO_DEEP, True)
             place = found.end()
             if found["end"]:
                 builder.end(_expanded(open_tags.pop()))
                 is_over = not open_tags
         else:
-            raise _fault(text, start, "a tag that cannot be read")
-    if not is_over:
-        raise _fault(text, place, f"<{open_tags[-1]}> is not closed" if open_tags else "no element")
-    return builder.close()
+            return None
+    return builder.close() if is_over and place >= 0 else None
 
 
 def _behind(text: str, start: int, ends: tuple[str, str]) -> int:
+    """The place behind what begins at `start`; -1 if it has no end."""
     end = text.find(ends[1], start + len(ends[0]))
-    if end < 0:
-        raise _fault(text, start, f"{ends[0]} without {ends[1]}")
-    return end + len(ends[1])
-
-
-def _fault(text: str, place: int, what: str, says_more: bool = False) -> _NoXmlError:
-    error = _NoXmlError(f"line {text.count(chr(10), 0, place) + 1}: {what}")
-    error.says_more = says_more
-    return error
+    return end if end < 0 else end + len(ends[1])
 
 
 def _attributes(text: str) -> dict[str, str]:

@@ -16,7 +16,7 @@ from cluttergen_jax.assets.modeller.catalog import FAMILIES, make_shape
 from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import AssetError, ClutterGenError, ConfigError, PoolError, range_text
 from cluttergen_jax.importing import cache
-from cluttergen_jax.importing.processes import run_all
+from cluttergen_jax.importing.limited import run_all
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import BatchEngine, NumberedEngines, Physics
 from cluttergen_jax.physics.log import silent_log
