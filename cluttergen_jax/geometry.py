@@ -133,6 +133,12 @@ def cell_centers(lower: np.ndarray, cell: ArrayLike, shape: ArrayLike) -> np.nda
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
+def at_height(points: ArrayLike, height: float) -> np.ndarray:
+    """f64[N, 3]: points f64[N, 2] of the plane, all at one height."""
+    flat = np.asarray(points, np.float64)
+    return np.column_stack([flat, np.full(len(flat), height)])
+
+
 def rotate_in_plane(points: ArrayLike, yaw: float) -> np.ndarray:
     """f64[..., 2]: points of the plane turned about the origin."""
     cos = math.cos(yaw)

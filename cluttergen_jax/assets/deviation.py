@@ -15,8 +15,7 @@ from cluttergen_jax.assets.cloud import sample_exposed, sample_solid
 from cluttergen_jax.assets.config import ALARM_FACTOR
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.parts import heights_over, hull_of, sound_points
-from cluttergen_jax.assets.solid import Solid
-from cluttergen_jax.assets.voxels import Voxels
+from cluttergen_jax.assets.solid import Solid, Voxels
 
 NUM_SAMPLES = 10_000
 _DENSITY = 20

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import manifold3d
 import numpy as np
 
-from cluttergen_jax.assets.mesh import Mesh, component_labels, shared_edges
+from cluttergen_jax.assets.mesh import UV_DIGITS, Mesh, component_labels, shared_edges, unique_rows
 from cluttergen_jax.geometry import plane_axes, triangle_areas
 
 _FLAT = 1e-4
@@ -97,11 +97,8 @@ def _places(near: _Neighbours, number: int) -> Iterator[np.ndarray]:
 
 def _weld(mesh: Mesh, uv: np.ndarray | None) -> tuple[Mesh, np.ndarray]:
     """The mesh with vertices of equal place and texture coordinates as one, and i64[V], which one."""
-    columns = [np.round(mesh.vertices, mesh.decimals), *([] if uv is None else [np.round(uv, 6)])]
-    _, first, label = np.unique(
-        np.concatenate(columns, 1), axis=0, return_index=True, return_inverse=True
-    )
-    label = label.reshape(-1)
+    places = np.round(mesh.vertices, mesh.decimals)
+    first, label = unique_rows(places, *([] if uv is None else [np.round(uv, UV_DIGITS)]))
     return Mesh(mesh.vertices[first], label[mesh.faces]), label
 
 
@@ -115,7 +112,7 @@ def _neighbours(mesh: Mesh) -> _Neighbours:
     one = one[is_pair]
     two = two[is_pair]
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    normals = _unit(mesh.normals)
+    normals = mesh.directions
     base = mesh.vertices[start[one]]
     along = _unit(mesh.vertices[end[one]] - base)
     arms = [mesh.vertices[tip[side]] - base for side in (one, two)]

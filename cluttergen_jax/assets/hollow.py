@@ -16,8 +16,7 @@ from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.assets.mjcf import add_part, new_spec
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shape import Cavity
-from cluttergen_jax.assets.solid import Solid
-from cluttergen_jax.assets.voxels import Voxels
+from cluttergen_jax.assets.solid import Solid, Voxels
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 
 BALL_RADIUS = 0.005

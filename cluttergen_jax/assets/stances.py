@@ -34,8 +34,7 @@ from scipy.spatial.transform import Rotation
 from cluttergen_jax.assets.cloud import sample_faces
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.settle import upright_turn
-from cluttergen_jax.assets.solid import Solid
-from cluttergen_jax.assets.voxels import Voxels, dilate
+from cluttergen_jax.assets.solid import Solid, Voxels, dilate
 
 _MIN_TIP = np.radians(5)
 _SAME = np.cos(np.radians(12))

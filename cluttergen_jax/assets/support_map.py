@@ -10,7 +10,6 @@ import numpy as np
 from scipy.ndimage import grey_closing
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.shading import collision_pieces
 from cluttergen_jax.assets.support import MOST_SIDE, Rectangle, SupportAsset, Surface
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import cell_centers, rectangle_corners, rotate_in_plane
@@ -243,7 +242,7 @@ def surface_heights(
     """
     inverse = np.linalg.inv(surface.T_world_surface)
     solids = [
-        piece.mesh.transform(inverse[:3, :3], inverse[:3, 3]) for piece in collision_pieces(support)
+        piece.mesh.transform(inverse[:3, :3], inverse[:3, 3]) for piece in support.collision_pieces
     ]
     solids = [mesh for mesh in solids if mesh.bounds[1, 2] > _LOWEST]
     corners = np.concatenate([mesh.vertices[:, :2] for mesh in solids])

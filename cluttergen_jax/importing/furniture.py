@@ -26,8 +26,8 @@ from cluttergen_jax.assets.config import NARROW_SURFACE
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.shape import Shape
+from cluttergen_jax.assets.solid import Voxels
 from cluttergen_jax.assets.support_map import largest_rectangle
-from cluttergen_jax.assets.voxels import Voxels
 from cluttergen_jax.errors import AssetError, first_names
 from cluttergen_jax.importing.limited import call_limited
 from cluttergen_jax.importing.readers import ObjectFile, ReadOptions, find_sources, read_shape

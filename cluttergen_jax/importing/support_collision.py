@@ -23,12 +23,10 @@ from cluttergen_jax.assets.config import SURFACE_AIR, DecompositionConfig
 from cluttergen_jax.assets.decompose import decompose
 from cluttergen_jax.assets.mesh import Mesh, clean_mesh, component_labels, join_meshes
 from cluttergen_jax.assets.parts import heights_over, hull_of, reduce_vertices, sound_points
-from cluttergen_jax.assets.shading import box_mesh
 from cluttergen_jax.assets.shape import Joint
-from cluttergen_jax.assets.solid import Solid, solid_of
+from cluttergen_jax.assets.solid import Solid, Voxels, solid_of
 from cluttergen_jax.assets.support import Box, SupportAsset, Surface
 from cluttergen_jax.assets.support_map import cells_below, cover, surface_heights
-from cluttergen_jax.assets.voxels import Voxels
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.geometry import box_corners, rotate_in_plane, yaw_matrix
 from cluttergen_jax.importing.surfaces import FoundSurface
@@ -270,7 +268,7 @@ def with_joints(support: SupportAsset, joints: Sequence[Joint]) -> SupportAsset:
         far = [np.inf if tree is None else float(tree.query(points)[0].mean()) for tree in trees]
         return int(np.argmin(far)) - 1
 
-    boxes = [nearest(box_mesh(box).vertices) for box in support.boxes]
+    boxes = [nearest(box.mesh.vertices) for box in support.boxes]
     parts = [nearest(part.vertices) for part in support.parts]
     made = [
         replace(

@@ -22,7 +22,6 @@ from cluttergen_jax.assets.config import NARROW_SURFACE, SURFACE_AIR
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.orientation import orient_faces
 from cluttergen_jax.assets.parts import as_meshes
-from cluttergen_jax.assets.shading import box_mesh
 from cluttergen_jax.assets.shape import Piece, Shape
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, Surface
 from cluttergen_jax.assets.support_file import (
@@ -288,12 +287,12 @@ def _several(
     surfaces = [each.surface for each in found]
     surfaces = [top, *surfaces] if level else surfaces
     surfaces = _called_in_order(surfaces)
-    covers = [(surfaces[0], [box_mesh(box).vertices for box in level])] if level else []
+    covers = [(surfaces[0], [box.mesh.vertices for box in level])] if level else []
     solids = []
     lost = []
     for group in moved_together(shape.joints, [piece.mesh for piece in pieces]):
         boxes, parts, notes_of_group = collision_of(group, yaw, surfaces)
-        solids += [box_mesh(box).vertices for box in boxes] + parts
+        solids += [box.mesh.vertices for box in boxes] + parts
         lost += notes_of_group
     bare = _support_of(shape, pieces, surfaces, solids, yaw)
     for each, surface in zip(found, surfaces[-len(found) :], strict=True):

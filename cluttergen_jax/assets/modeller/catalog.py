@@ -13,7 +13,7 @@ from cluttergen_jax.assets.modeller import (
     kitchenware,
     stationery,
 )
-from cluttergen_jax.assets.modeller.draw import Draw, Family
+from cluttergen_jax.assets.modeller.draw import Draw, Family, made_by
 from cluttergen_jax.assets.shape import Shape
 from cluttergen_jax.errors import PoolError
 
@@ -105,7 +105,10 @@ def make_shape(family: str, seed: int | None = None) -> Shape:
         raise PoolError(
             f"no family named {family!r}", ", ".join(sorted(FAMILIES)), "one of these names"
         )
-    if seed is None:
-        return FAMILIES[family](Draw()).shape(family)
-    shape = FAMILIES[family](Draw(np.random.default_rng(seed))).shape(family)
-    return replace(shape, name=f"{family}-{seed}")
+    shape = FAMILIES[family](Draw(None if seed is None else np.random.default_rng(seed)))
+    return replace(
+        shape,
+        name=family if seed is None else f"{family}-{seed}",
+        label=shape.label or family.replace("_", " "),
+        provenance=made_by(family),
+    )

@@ -22,7 +22,7 @@ from cluttergen_jax.assets.modeller.draw import (
     WOOD,
     YELLOW,
     Draw,
-    Model,
+    assemble,
     hex_colors,
     hex_rgb,
 )
@@ -33,6 +33,7 @@ from cluttergen_jax.assets.modeller.solids import (
     difference,
     ellipse,
     hull,
+    pipe,
     revolve,
     rounded_rect,
     sweep,
@@ -41,7 +42,7 @@ from cluttergen_jax.assets.modeller.solids import (
     upright,
 )
 from cluttergen_jax.assets.modeller.vessel import Crate, Vessel
-from cluttergen_jax.assets.shape import Cavity
+from cluttergen_jax.assets.shape import Cavity, Shape
 
 BOTTLE_GLASS = hex_colors("2f5d3a 6b3f1d 1f3b2c 7f9a4a 2b4a6b")
 CAPS = hex_colors("8e1f2b c9a13b 20242b 2d5aa0")
@@ -52,7 +53,7 @@ LIDS = (*hex_colors("c9a13b 8e1f2b 3f6f4f"), TIN)
 FILLINGS = hex_colors("a3202f d9822b 5b2a4f 8a5a2b 6f8f3a")
 
 
-def bottle(vary: Draw) -> Model:
+def bottle(vary: Draw) -> Shape:
     """A closed wine bottle with a label and a foil cap."""
     radius = vary(0.037, 0.1)
     height = vary(0.295, 0.12)
@@ -75,7 +76,7 @@ def bottle(vary: Draw) -> Model:
     foil = _sleeve(neck, foil_foot, height - 0.001, 0.0008)
     low = 0.14 * height
     high = shoulder - 0.05 * height
-    return Model(
+    return assemble(
         label="wine bottle",
         pieces=(
             (revolve([(0.0, 0.0), *body, (0.0, height)]), vary.color(*BOTTLE_GLASS, spread=0.03)),
@@ -92,7 +93,7 @@ def bottle(vary: Draw) -> Model:
     )
 
 
-def soup_can(vary: Draw) -> Model:
+def soup_can(vary: Draw) -> Shape:
     """A closed tin can with a two-coloured paper label and a medallion band."""
     radius = vary(0.034, 0.2)
     height = vary(0.102, 0.2)
@@ -115,7 +116,7 @@ def soup_can(vary: Draw) -> Model:
     middle = low + vary.within(0.52, 0.35, 0.65) * (high - low)
     band = 0.07 * (high - low)
     color = vary.color(*LABELS)
-    return Model(
+    return assemble(
         pieces=(
             (revolve([(0.0, 0.0), *tin]), TIN),
             (_sleeve(radius, middle + band, high), color),
@@ -127,7 +128,7 @@ def soup_can(vary: Draw) -> Model:
     )
 
 
-def jar(vary: Draw) -> Model:
+def jar(vary: Draw) -> Shape:
     """A filled glass jar with a screw lid."""
     radius = vary(0.040, 0.2)
     height = vary(0.110, 0.25)
@@ -153,7 +154,7 @@ def jar(vary: Draw) -> Model:
     cap = revolve(
         [(0.0, height - lid), (neck, height - lid), *ribs, (neck - 0.002, height), (0.0, height)]
     )
-    return Model(
+    return assemble(
         label="jar with a lid",
         pieces=(
             (body, color := vary.color(*FILLINGS)),
@@ -173,9 +174,7 @@ def jar(vary: Draw) -> Model:
 
 def _sleeve(radius: float, low: float, high: float, thickness: float = 0.0005) -> Manifold:
     """A thin ring around a cylinder, such as a label; its foot lies just inside the surface."""
-    inner = radius - 0.0003
-    outer = radius + thickness
-    return revolve([(inner, low), (outer, low), (outer, high), (inner, high)])
+    return pipe(radius - 0.0003, radius + thickness, low, high)
 
 
 PRINTS = hex_colors("e2a21f c8322b 2e7d4f 2e5fa3 7d3f8c d95f8a")
@@ -183,14 +182,14 @@ ACCENTS = hex_colors("b3261e 1f3f7a 14532d 4a1d5e")
 PRINT_CREAM = hex_rgb("f6efdf")
 
 
-def cereal_box(vary: Draw) -> Model:
+def cereal_box(vary: Draw) -> Shape:
     """A tall carton with a title and a bowl of flakes printed on its -y face."""
     width = vary(0.160)
     depth = vary(0.058)
     height = vary(0.225)
     accent = vary.color(*ACCENTS)
     flap = box((0.30 * width, 0.30 * depth, 0.0008), z=height - 0.0002)
-    return Model(
+    return assemble(
         pieces=(
             (box((width, depth, height)), vary.color(*PRINTS)),
             *_breakfast(vary, width, height, -depth / 2, accent),
@@ -229,7 +228,7 @@ def _breakfast(vary: Draw, width: float, height: float, face: float, accent: Rgb
     ]
 
 
-def milk_carton(vary: Draw) -> Model:
+def milk_carton(vary: Draw) -> Shape:
     """A gable-top carton with a screw cap; its ridge runs along x."""
     side = vary(0.070, 0.12)
     height = vary(0.205)
@@ -247,7 +246,7 @@ def milk_carton(vary: Draw) -> Model:
     screw = upright(ellipse(0.16 * side, 0.16 * side, 24), 0.012, 0.0)
     screw = screw.rotate((slope - 90, 0, 0)).translate((0, -half / 2, (eaves + ridge) / 2))
     gable = [(x, y, z) for x in (-half, half) for y, z in (*right, *left)]
-    return Model(
+    return assemble(
         pieces=(
             (carton, hex_rgb("f3f3ee")),
             (stripe - carton, color),
@@ -276,7 +275,7 @@ RAW_WOOD = (0.90, 0.76, 0.55)
 Block = tuple[tuple[float, float, float], tuple[float, float], float]
 
 
-def pencil_cup(vary: Draw) -> Model:
+def pencil_cup(vary: Draw) -> Shape:
     """A round cup with two pencils that lean on its rim."""
     foot = vary(0.036, 0.1)
     rim = vary(0.041, 0.1)
@@ -305,7 +304,7 @@ def pencil_cup(vary: Draw) -> Model:
         )
         pieces += solids
         parts.append(core)
-    return Model(
+    return assemble(
         pieces=tuple(pieces),
         parts=tuple(parts),
         cavity=cup.cavity(),
@@ -330,10 +329,10 @@ def _pencil(
         (sweep(stations[2:], outline, scales=[0.35, 0.1]), BLACK),
     ]
     cells = part.sweep([stations[0], stations[1], stations[3]], outline, scales=[1.0, 1.0, 0.1])
-    return pieces, part.hull(np.concatenate([cell.vertices for cell in cells]))
+    return pieces, part.hull(*[cell.vertices for cell in cells])
 
 
-def pen_holder(vary: Draw) -> Model:
+def pen_holder(vary: Draw) -> Shape:
     """A box in two compartments; two pens and a ruler stand in the smaller one."""
     crate = Crate(vary(0.108, 0.12), vary(0.076, 0.1), vary(0.098, 0.12), 0.004, 0.005)
     shelf = 0.16 * crate.width
@@ -361,7 +360,7 @@ def pen_holder(vary: Draw) -> Model:
     outline = [*edge, (right - 0.001, top + 0.012), (right - 0.004, top + 0.012)]
     flat = {"depth": 0.026, "y": 0.5 * crate.depth - 0.020}
     ruler = hull(part.upright(outline, **flat).vertices)
-    return Model(
+    return assemble(
         pieces=(*pieces, (ruler - box(*wall), YELLOW)),
         parts=(*parts, part.upright(outline, **flat)),
         cavity=Cavity(
@@ -381,7 +380,7 @@ def _pen(start: np.ndarray, end: np.ndarray, color: Rgb) -> tuple[list[tuple[Man
     return [(barrel, WHITE), (cap, color)], part.sweep(np.stack([start, end]), 0.0042)[0]
 
 
-def letter_tray(vary: Draw) -> Model:
+def letter_tray(vary: Draw) -> Shape:
     """Two trays one above the other, open to the front (-y), with paper in both."""
     width = vary(0.245, 0.08)
     depth = vary(0.190, 0.08)
@@ -410,7 +409,7 @@ def letter_tray(vary: Draw) -> Model:
     )
     floor = step + wall
     inside = box((inner, depth - 2 * wall, height - floor), z=floor) - box(*papers[1])
-    return Model(
+    return assemble(
         pieces=(
             (frame, vary.color(WOOD, *DARK, DARK_WOOD, TEAL)),
             (box(*papers[0]), WHITE),

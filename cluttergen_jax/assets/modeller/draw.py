@@ -1,4 +1,4 @@
-"""What families of objects are made with: proportions that vary, colours, and the model that they return."""
+"""What families of objects are made with: proportions that vary, colours, and what assembles a shape."""
 
 from __future__ import annotations
 
@@ -46,38 +46,30 @@ class Draw:
         return red, green, blue
 
 
-@dataclass(frozen=True)
-class Model:
-    """An object of a family.
+Family = Callable[[Draw], Shape]
 
-    Attributes:
+
+def assemble(
+    pieces: Iterable[Painted],
+    parts: Iterable[Mesh],
+    mass: float,
+    label: str = "",
+    cavity: Cavity | None = None,
+) -> Shape:
+    """A shape that `make_shape` names after its family.
+
+    Surfaces are made here, while the family still holds its solids: which of these are shared decides the
+    order of their triangles.
+
+    Args:
       pieces: solids, each with its colour.
       parts: convex collision parts.
       mass: kilograms.
       label: what people call it; the family's words if empty.
       cavity: of what is hollow.
     """
-
-    pieces: Iterable[Painted]
-    parts: Iterable[Mesh]
-    mass: float
-    label: str = ""
-    cavity: Cavity | None = None
-
-    def shape(self, family: str) -> Shape:
-        """The model as the shape of a family."""
-        return Shape(
-            name=family,
-            label=self.label or family.replace("_", " "),
-            pieces=tuple(piece(*each) for each in self.pieces),
-            provenance=made_by(family),
-            parts=tuple(self.parts),
-            cavity=self.cavity,
-            mass=self.mass,
-        )
-
-
-Family = Callable[[Draw], Model]
+    surfaces = tuple(piece(*each) for each in pieces)
+    return Shape("", label, surfaces, made_by(""), tuple(parts), cavity, mass)
 
 
 def made_by(family: str) -> Provenance:

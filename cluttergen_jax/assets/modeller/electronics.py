@@ -29,7 +29,7 @@ from cluttergen_jax.assets.modeller.draw import (
     WHITE,
     YELLOW,
     Draw,
-    Model,
+    assemble,
 )
 from cluttergen_jax.assets.modeller.solids import (
     above,
@@ -46,6 +46,8 @@ from cluttergen_jax.assets.modeller.solids import (
     union,
     upright,
 )
+from cluttergen_jax.assets.shape import Shape
+from cluttergen_jax.geometry import at_height
 
 DISPLAY = (0.70, 0.80, 0.66)
 
@@ -97,7 +99,7 @@ def _on_slope(solid: Manifold, front: float, back: float, slope: float) -> Manif
     return solid.rotate((slope, 0, 0)).translate((0, 0, (front + back) / 2))
 
 
-def laptop(vary: Draw) -> Model:
+def laptop(vary: Draw) -> Shape:
     """An open laptop, keyboard towards -y."""
     width = vary(0.300, 0.08)
     depth = vary(0.205, 0.06)
@@ -143,7 +145,7 @@ def laptop(vary: Draw) -> Model:
     keys = union(*[one for row in grid for one in row]).translate((0, 0, base))
     pad = box((0.34 * width, 0.27 * depth, 0.001), (0, -0.29 * depth), base - 0.0006)
     shell = rounded_box((width, depth, base), 0.003) + raise_lid(rounded_box(screen_size, 0.003))
-    return Model(
+    return assemble(
         pieces=(
             (shell, vary.color(SILVER, GREY, CHARCOAL, STEEL, NAVY)),
             (keys, vary.color(BLACK, CHARCOAL, spread=0.02)),
@@ -159,7 +161,7 @@ def laptop(vary: Draw) -> Model:
     )
 
 
-def mouse(vary: Draw) -> Model:
+def mouse(vary: Draw) -> Shape:
     """A computer mouse with two buttons and a wheel, its front towards -y."""
     size = np.array([vary(0.063, 0.1), vary(0.108, 0.1), vary(0.037, 0.1)])
     # Each level: height, share of width, share of length, and how far it sits back.
@@ -178,7 +180,7 @@ def mouse(vary: Draw) -> Model:
     feet = _mouse_skin(levels[:1], 4)
     lifted = _mouse_skin(levels, 8) + (0, 0, 0.03) * (np.arange(32) < 8)[:, None]
     outline = np.concatenate([feet, lifted[:8], lifted[8:24], lifted[24::2]]) * size
-    return Model(
+    return assemble(
         label="computer mouse",
         pieces=(
             (
@@ -204,7 +206,7 @@ def _mouse_skin(levels: np.ndarray, num: int) -> np.ndarray:
     return np.concatenate(rings)
 
 
-def keyboard(vary: Draw) -> Model:
+def keyboard(vary: Draw) -> Shape:
     """A compact computer keyboard, its space bar towards -y."""
     width = vary(0.330, 0.1)
     depth = vary(0.125, 0.06)
@@ -232,7 +234,7 @@ def keyboard(vary: Draw) -> Model:
         one for line in grid for one in line if all(one is not other for other in accent + grey)
     ]
     tops = corners[corners[:, 2] > 0] * (0.955, 0.90, 1) + (0, 0, 0.85 * travel)
-    return Model(
+    return assemble(
         label="computer keyboard",
         pieces=(
             (hull(corners), vary.color(CHARCOAL, BLACK, SILVER, NAVY)),
@@ -246,12 +248,12 @@ def keyboard(vary: Draw) -> Model:
                 vary.color(ORANGE, RED, BLUE, GREEN),
             ),
         ),
-        parts=(part.hull(np.concatenate([corners, tops])),),
+        parts=(part.hull(corners, tops),),
         mass=vary(0.65, 0.2),
     )
 
 
-def calculator(vary: Draw) -> Model:
+def calculator(vary: Draw) -> Shape:
     """A desk calculator, its display at the back."""
     width = vary(0.098, 0.12)
     depth = vary(0.150, 0.1)
@@ -278,17 +280,17 @@ def calculator(vary: Draw) -> Model:
         (digits, BLACK),
     ]
     tops = corners[corners[:, 2] > 0] * (0.86, 0.88, 1) + (0, 0, 0.003)
-    return Model(
+    return assemble(
         pieces=(
             (hull(corners), vary.color(CHARCOAL, NAVY, TEAL, *BRIGHT)),
             *[(_on_slope(solid, front, back, slope), color) for solid, color in tinted],
         ),
-        parts=(part.hull(np.concatenate([corners, tops])),),
+        parts=(part.hull(corners, tops),),
         mass=vary(0.22, 0.2),
     )
 
 
-def desk_phone(vary: Draw) -> Model:
+def desk_phone(vary: Draw) -> Shape:
     """A desk telephone, its handset lying on the left of the keypad."""
     width = vary(0.185, 0.08)
     depth = vary(0.195, 0.08)
@@ -315,7 +317,7 @@ def desk_phone(vary: Draw) -> Model:
         (cradle - handset, BLACK),
         (handset, vary.color(RED, CHARCOAL, GREY, BLACK)),
     ]
-    return Model(
+    return assemble(
         label="desk telephone",
         pieces=(
             (
@@ -328,9 +330,7 @@ def desk_phone(vary: Draw) -> Model:
             part.hull(corners),
             *[part.rotate_part(part.box(size, at, z), turn, lift) for size, at, z in (*ends, grip)],
             part.rotate_part(
-                part.box(
-                    *((0.40 * width, 0.22 * depth, 0.006), (0.22 * width, 0.24 * depth), -0.001)
-                ),
+                part.box((0.40 * width, 0.22 * depth, 0.006), (0.22 * width, 0.24 * depth), -0.001),
                 turn,
                 lift,
             ),
@@ -342,7 +342,7 @@ def desk_phone(vary: Draw) -> Model:
 GLASS = (0.12, 0.16, 0.30)
 
 
-def alarm_clock(vary: Draw) -> Model:
+def alarm_clock(vary: Draw) -> Shape:
     """A twin-bell alarm clock on two feet, its face towards -y."""
     radius = vary(0.048, 0.12)
     depth = vary(0.046, 0.12)
@@ -364,7 +364,7 @@ def alarm_clock(vary: Draw) -> Model:
     hammer = box((0.008, 0.006, 0.020), z=top - 0.002) + box((0.022, 0.008, 0.008), z=top + 0.014)
     metal = vary.color(GOLD, SILVER, STEEL)
     stand = union(hammer, *[hull(foot.vertices) for foot in feet]) - case
-    return Model(
+    return assemble(
         pieces=(
             (body, vary.color(RED, TEAL, *BRIGHT, CHARCOAL)),
             (facing(radius - 0.006, 0.001, (0, middle), front + 0.0035), WHITE),
@@ -373,11 +373,7 @@ def alarm_clock(vary: Draw) -> Model:
             (stand, metal if vary.rng else GREY),
         ),
         parts=(
-            part.rotate_part(
-                part.disc([(radius, -depth / 2), (radius, depth / 2)], 16),
-                (90, 0, 0),
-                (0, 0, middle),
-            ),
+            part.facing(radius, depth, 16, (0, middle)),
             *bell_parts,
             *feet,
             *part.sweep(arch[1:3], 0.004),
@@ -418,7 +414,7 @@ def _dial(vary: Draw, radius: float) -> Manifold:
     return union(*marks, *hands, facing(0.004, 0.002, (0, 0), -0.001))
 
 
-def camera(vary: Draw) -> Model:
+def camera(vary: Draw) -> Shape:
     """A camera with a lens towards -y, a viewfinder hump and a grip."""
     width = vary(0.132, 0.08)
     depth = vary(0.048, 0.1)
@@ -457,7 +453,7 @@ def camera(vary: Draw) -> Model:
         for radius, rise, share in ((0.010, 0.008, 0.40), (0.007, 0.006, -0.40))
     ]
     trim = vary.color(SILVER, STEEL, CHARCOAL, GOLD)
-    return Model(
+    return assemble(
         pieces=(
             (dark, vary.color(BLACK, *DARK, (0.42, 0.24, 0.15), spread=0.02)),
             (union(shell, *rings), trim),
@@ -485,7 +481,7 @@ def camera(vary: Draw) -> Model:
     )
 
 
-def remote_control(vary: Draw) -> Model:
+def remote_control(vary: Draw) -> Shape:
     """A television remote lying on its back, its far end towards +y."""
     width = vary(0.048, 0.12)
     length = vary(0.175, 0.12)
@@ -493,7 +489,7 @@ def remote_control(vary: Draw) -> Model:
     foot = rounded_rect(0.9 * width, 0.96 * length, 0.010)
     waist = rounded_rect(width, length, 0.012)
     levels = ((foot, 0.0), (waist, 0.5 * height), (foot, height))
-    body = hull(np.concatenate([np.insert(outline, 2, z, axis=1) for outline, z in levels]))
+    body = hull(*[at_height(outline, z) for outline, z in levels])
     step = 0.27 * width
 
     def button(column: float, row: float, radius: float = 0.0043) -> Manifold:
@@ -525,7 +521,7 @@ def remote_control(vary: Draw) -> Model:
             (0.87, 0.94, height + 0.001),
         )
     ]
-    return Model(
+    return assemble(
         pieces=(
             (body, vary.color(CHARCOAL, *DARK, NAVY, STEEL)),
             *[(s, c) for s, c in tinted],

@@ -31,10 +31,11 @@ from cluttergen_jax.assets.modeller.draw import (
     WOOD,
     YELLOW,
     Draw,
-    Model,
+    assemble,
 )
 from cluttergen_jax.assets.modeller.solids import (
     above,
+    arc,
     box,
     cylinder,
     ellipse,
@@ -42,6 +43,7 @@ from cluttergen_jax.assets.modeller.solids import (
     facing,
     hull,
     lettering,
+    pipe,
     revolve,
     rounded_box,
     rounded_rect,
@@ -51,6 +53,8 @@ from cluttergen_jax.assets.modeller.solids import (
     upright,
 )
 from cluttergen_jax.assets.modeller.vessel import Crate, Vessel
+from cluttergen_jax.assets.shape import Shape
+from cluttergen_jax.geometry import at_height
 
 
 def flask(
@@ -65,15 +69,15 @@ def flask(
         outline = rounded_rect(width, depth, corner, num)
         mouth = rounded_rect(2 * neck, 2 * neck, 0.98 * neck, num)
         heights = ((outline * 0.95, 0.0), (outline, 0.006), (outline, shoulder), (mouth, top))
-        return [np.insert(ring, 2, z, axis=1) for ring, z in heights]
+        return [at_height(ring, z) for ring, z in heights]
 
     rings = levels(1)
     reach = np.array([0.95 * width / 2 - 0.3 * corner, 0.95 * depth / 2 - 0.3 * corner])
     rings[0] = np.array([(sx * reach[0], sy * reach[1], 0.0) for sx in (-1, 1) for sy in (-1, 1)])
-    return hull(np.concatenate(levels(7))), part.hull(np.concatenate(rings))
+    return hull(*levels(7)), part.hull(*rings)
 
 
-def spray_bottle(vary: Draw) -> Model:
+def spray_bottle(vary: Draw) -> Shape:
     """A trigger spray bottle, its nozzle towards -x."""
     width = vary(0.088, 0.1)
     depth = vary(0.056, 0.1)
@@ -94,7 +98,7 @@ def spray_bottle(vary: Draw) -> Model:
         label, depth / 2, 0.5 * shoulder, vary.choose("CLEAN", "CLEAN UP", "PLANTS"), 0.17
     )
     grip = upright(head, 0.024)
-    return Model(
+    return assemble(
         pieces=(
             (body + neck, vary.color(SKY, TEAL, *BRIGHT)),
             (collar - body, WHITE),
@@ -133,7 +137,7 @@ def _labels(
     return placed[0], placed[1]
 
 
-def soap_dispenser(vary: Draw) -> Model:
+def soap_dispenser(vary: Draw) -> Shape:
     """A soap dispenser with a pump, its spout towards -y."""
     width = vary(0.072, 0.1)
     depth = vary(0.060, 0.1)
@@ -155,7 +159,7 @@ def soap_dispenser(vary: Draw) -> Model:
     press = rounded_box((0.034, 0.034, 0.013), 0.005, (0, 0.002), pump)
     panel, words = _labels((0.66 * width, 0.62 * shoulder), depth / 2, 0.5 * shoulder, "SOAP", 0.26)
     metal = vary.color(WHITE, STEEL, CHARCOAL)
-    return Model(
+    return assemble(
         pieces=(
             (body + neck, vary.color(TEAL, CREAM, *BRIGHT)),
             (union(cap, stem, hull(spout), hull(tip), press) - (body + neck), metal),
@@ -167,7 +171,7 @@ def soap_dispenser(vary: Draw) -> Model:
             part.disc([(0.0155, top - 0.004), (0.0155, top + 0.014)], 10),
             part.box((0.010, 0.010, pump - top + 0.002), z=top),
             part.box((0.032, 0.032, 0.013), (0, 0.002), pump),
-            part.hull([*spout, *tip[:2], *tip[4:6]]),
+            part.hull(spout, tip[:2], tip[4:6]),
         ),
         mass=vary(0.38, 0.2),
     )
@@ -176,7 +180,7 @@ def soap_dispenser(vary: Draw) -> Model:
 KRAFT = (0.72, 0.55, 0.36)
 
 
-def tissue_box(vary: Draw) -> Model:
+def tissue_box(vary: Draw) -> Shape:
     """A box of paper tissues, one of them pulled half out."""
     width = vary(0.225, 0.1)
     depth = vary(0.115, 0.1)
@@ -197,9 +201,9 @@ def tissue_box(vary: Draw) -> Model:
     cells = []
     for i, j in np.ndindex(knots.shape[0] - 1, knots.shape[1] - 1):
         cell = knots[i : i + 2, j : j + 2].reshape(-1, 3)
-        cells.append(hull(np.concatenate([np.add(cell, (0, s * 0.0012, 0)) for s in (-1, 1)])))
+        cells.append(hull(*[np.add(cell, (0, s * 0.0012, 0)) for s in (-1, 1)]))
     coarse = knots[[0, 3, 6, 8, 11, 14]][:, [0, -1]].reshape(-1, 3)
-    return Model(
+    return assemble(
         pieces=(
             (
                 box((width, depth, height)),
@@ -212,7 +216,7 @@ def tissue_box(vary: Draw) -> Model:
         ),
         parts=(
             part.box((width, depth, height)),
-            part.hull(np.concatenate([np.add(coarse, (0, s * 0.0012, 0)) for s in (-1, 1)])),
+            part.hull(*[np.add(coarse, (0, s * 0.0012, 0)) for s in (-1, 1)]),
         ),
         mass=vary(0.22, 0.25),
     )
@@ -227,15 +231,13 @@ def _tuft(reach: float, base: float) -> np.ndarray:
     return np.stack([x, y, z], -1)
 
 
-def tape_roll(vary: Draw) -> Model:
+def tape_roll(vary: Draw) -> Shape:
     """A roll of parcel tape lying flat, with its core and a loose end."""
     outer = vary(0.054, 0.12)
     width = vary(0.048, 0.1)
     inner = min(vary(0.038, 0.06), outer - 0.010)
-    tape = revolve([(inner + 0.002, 0.0), (outer, 0.0), (outer, width), (inner + 0.002, width)], 64)
-    core = revolve(
-        [(inner, 0.0), (inner + 0.0021, 0.0), (inner + 0.0021, width), (inner, width)], 64
-    )
+    tape = pipe(inner + 0.002, outer, 0.0, width, 64)
+    core = pipe(inner, inner + 0.0021, 0.0, width, 64)
     seam = cylinder(outer - 0.004, 0.0008, width - 0.0004) - cylinder(outer - 0.006, 1.0)
     end = np.array(
         [(outer - 0.0006, 0), (outer - 0.0002, 0.008), (outer - 0.0002, 0.014), (outer, 0.019)]
@@ -252,7 +254,7 @@ def tape_roll(vary: Draw) -> Model:
         for k in range(3)
     ]
     section = [(inner, 0.0), (1.03 * outer, 0.0), (1.03 * outer, width), (inner, width)]
-    return Model(
+    return assemble(
         label="roll of tape",
         pieces=(
             (
@@ -267,7 +269,7 @@ def tape_roll(vary: Draw) -> Model:
     )
 
 
-def flower_pot(vary: Draw) -> Model:
+def flower_pot(vary: Draw) -> Shape:
     """An empty clay pot with a rolled rim, standing in its saucer."""
     foot = vary(0.046, 0.1)
     height = vary(0.112, 0.12)
@@ -282,7 +284,7 @@ def flower_pot(vary: Draw) -> Model:
     saucer = [(0.0, 0.0), (foot + 0.004, 0.0), (dish, 0.014), (dish - 0.003, 0.014)]
     saucer += [(foot + 0.002, 0.004), (0.0, 0.004)]
     clay = vary.color(TERRACOTTA, TERRACOTTA, (0.86, 0.82, 0.74), TEAL)
-    return Model(
+    return assemble(
         pieces=(
             (revolve(saucer) + pot.solid(), clay),
             (_trim(pot, band, height), (0.86 * clay[0], 0.86 * clay[1], 0.86 * clay[2])),
@@ -306,7 +308,7 @@ def _trim(pot: Vessel, low: float, high: float) -> Manifold:
     return union(*rings)
 
 
-def basket(vary: Draw) -> Model:
+def basket(vary: Draw) -> Shape:
     """A woven basket with an arched handle over its width."""
     width = vary(0.190, 0.1)
     depth = vary(0.135, 0.1)
@@ -318,18 +320,15 @@ def basket(vary: Draw) -> Model:
 
     def bow(num: int, grow: float) -> np.ndarray:
         turns = np.linspace(np.pi, 0.0, num)
-        arch = np.column_stack([reach * np.cos(turns), 0 * turns, rise * np.sin(turns)])
-        return np.add(grow * arch, (0, 0, tub.height - 0.010))
+        return np.add(grow * arc(turns, reach, rise), (0, 0, tub.height - 0.010))
 
     edge = tub.height - 0.010
-    rim = hull(np.concatenate([tub.outline(z, -0.003) for z in (edge, tub.height)]))
-    rim = rim - hull(
-        np.concatenate([tub.outline(z, 0.003) for z in (edge - 0.001, tub.height + 0.001)])
-    )
+    rim = hull(tub.outline(edge, -0.003), tub.outline(tub.height, -0.003))
+    rim = rim - hull(tub.outline(edge - 0.001, 0.003), tub.outline(tub.height + 0.001, 0.003))
     handle = sweep(bow(25, 1.0), flat) - hull(
-        np.concatenate([tub.outline(z, 0.001) for z in (0.0, tub.height)])
+        tub.outline(0.0, 0.001), tub.outline(tub.height, 0.001)
     )
-    return Model(
+    return assemble(
         pieces=(
             (tub.solid(), vary.color(KRAFT, (0.62, 0.44, 0.27), CREAM)),
             (_weave(tub, edge), vary.color(CREAM, WOOD, TEAL, WHITE)),
@@ -354,14 +353,14 @@ def _weave(tub: Crate, top: float, rows: int = 7) -> Manifold:
             for i in range(j % 2, columns, 2):
                 shares = np.array([i, i + 1])[:, None] / columns
                 ends = [(1 - shares) * ring[wall] + shares * ring[(wall + 1) % 4] for ring in rings]
-                strands.append(hull(np.concatenate(ends)))
+                strands.append(hull(*ends))
     return union(*strands)
 
 
 WARM = (1.0, 0.93, 0.66)
 
 
-def desk_lamp(vary: Draw) -> Model:
+def desk_lamp(vary: Draw) -> Shape:
     """A jointed lamp on a heavy round foot, its shade looking down to the front (-x)."""
     size = vary(1.0, 0.10)
     radius = 0.088 * size
@@ -394,7 +393,7 @@ def desk_lamp(vary: Draw) -> Model:
             part.disc([(mouth, -depth), (0.019 * size, 0.012 * size)], 14), (0, pitch, 0), head
         ),
     ]
-    return Model(
+    return assemble(
         pieces=(
             (revolve([(0, 0), *base, (0, 0.020 * size)]), color),
             (arms, vary.color(SILVER, GOLD, CHARCOAL)),
@@ -413,7 +412,7 @@ def _hinge(center: tuple[float, float, float], radius: float) -> Manifold:
     return pin.rotate((90, 0, 0)).translate(center)
 
 
-def candle(vary: Draw) -> Model:
+def candle(vary: Draw) -> Shape:
     """A burning candle in a chamberstick: a dish with a socket and a finger ring."""
     radius = vary(0.019, 0.12)
     height = vary(0.115, 0.25)
@@ -448,7 +447,7 @@ def candle(vary: Draw) -> Model:
         for cell in part.ring_sectors([(r * 1.08, z) for r, z in square], 5, phase=turns[6])
     ]
     metal = union(revolve([*saucer, (0.0, floor)]), revolve(socket), loop)
-    return Model(
+    return assemble(
         label="candle in a holder",
         pieces=(
             (
@@ -523,7 +522,7 @@ LAND = (
 GROUND = (GREEN, (0.83, 0.72, 0.45), (0.62, 0.66, 0.33))
 
 
-def globe(vary: Draw) -> Model:
+def globe(vary: Draw) -> Shape:
     """A terrestrial globe, its axis tilted in a half ring on a round foot."""
     radius = vary(0.082, 0.15)
     foot = 0.86 * radius
@@ -540,8 +539,7 @@ def globe(vary: Draw) -> Model:
     reach = radius + 0.008
     bar = 0.0045
     turns = np.radians(np.linspace(-90, 90, 25))
-    arc = np.column_stack([reach * np.cos(turns), 0 * turns, reach * np.sin(turns)])
-    ring = tube(arc, bar)
+    half_ring = tube(arc(turns, reach, reach), bar)
     pins = union(
         *[cylinder(0.003, 0.014, z=z, segments=16) for z in (radius - 0.002, -radius - 0.012)]
     )
@@ -550,16 +548,13 @@ def globe(vary: Draw) -> Model:
     neck = lowest - bar + 0.003
     stem = [(0.0, 0.014), (0.020, 0.014), (0.009, 0.030), (0.007, neck), (0.0, neck)]
     brass = vary.color(GOLD, SILVER, STEEL)
-    coarse = np.radians(np.linspace(-90, 90, 6))
-    bow = np.column_stack(
-        [1.03 * reach * np.cos(coarse), 0 * coarse, 1.03 * reach * np.sin(coarse)]
-    )
-    return Model(
+    bow = arc(np.radians(np.linspace(-90, 90, 6)), 1.03 * reach, 1.03 * reach)
+    return assemble(
         pieces=(
             (skin.rotate(tilt).translate(at), sea),
             ((land - ice).rotate(tilt).translate(at), vary.color(*GROUND)),
             (ice.rotate(tilt).translate(at), WHITE),
-            (union(ring, pins).rotate(tilt).translate(at), brass),
+            (union(half_ring, pins).rotate(tilt).translate(at), brass),
             (
                 union(revolve(base), revolve(stem)),
                 vary.color(DARK_WOOD, WOOD, CHARCOAL),
@@ -579,10 +574,10 @@ def _cone(patch: tuple[tuple[float, float], ...], reach: float) -> Manifold:
     """All that lies behind a patch of the sphere, as seen from its centre."""
     lon, lat = np.radians(np.array(patch, np.float64)).T
     rays = np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
-    return hull(np.concatenate([reach * rays, np.zeros((1, 3))]))
+    return hull(reach * rays, np.zeros(3))
 
 
-def eyeglasses(vary: Draw) -> Model:
+def eyeglasses(vary: Draw) -> Shape:
     """A pair of glasses with open temples, resting on rims and tips, lenses towards -y."""
     lens = (vary(0.052, 0.08), vary(0.042, 0.12))
     rim = 0.0045
@@ -621,7 +616,7 @@ def eyeglasses(vary: Draw) -> Model:
     bridge = ((2 * gap + 0.006, deep - 0.001, 0.006), (0, 0), 0.62 * size[1])
     frame = union(*rims, box(*bridge))
     tint = vary.color(SKY, (0.25, 0.27, 0.30), (0.55, 0.40, 0.25))
-    return Model(
+    return assemble(
         pieces=(
             (frame, vary.color(BLACK, CRIMSON, DARK_WOOD, NAVY)),
             (union(*panes) - frame, tint, 0.45),
@@ -631,7 +626,7 @@ def eyeglasses(vary: Draw) -> Model:
     )
 
 
-def toy_car(vary: Draw) -> Model:
+def toy_car(vary: Draw) -> Shape:
     """A wooden toy car on wheels with flat treads, its bonnet towards -x."""
     length = vary(0.140, 0.12)
     width = vary(0.062, 0.1)
@@ -677,7 +672,7 @@ def toy_car(vary: Draw) -> Model:
         part.disc([(wheel, -tread / 2), (wheel, tread / 2)], 12, np.pi / 12), (90, 0, 0)
     )
     rollers = [part.rotate_part(roller, (0, 0, 0), (x, y, axle)) for x, y in places]
-    return Model(
+    return assemble(
         pieces=(
             (shell, paint),
             (glass, SKY),
@@ -694,7 +689,7 @@ def toy_car(vary: Draw) -> Model:
     )
 
 
-def photo_frame(vary: Draw) -> Model:
+def photo_frame(vary: Draw) -> Shape:
     """A picture frame leaning back on its strut, the picture towards -y."""
     width = vary(0.150, 0.12)
     height = vary(0.195, 0.12)
@@ -738,7 +733,7 @@ def photo_frame(vary: Draw) -> Model:
     strut = [(s * 0.022, y, z) for s in (-1, 1) for y, z in edge]
     strut += [(s * 0.030, y, 0.0) for s in (-1, 1) for y in (far_foot - 0.008, far_foot)]
     back = leaning(rim)
-    return Model(
+    return assemble(
         pieces=(
             (
                 leaning(rim_open),

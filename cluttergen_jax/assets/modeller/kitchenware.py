@@ -7,7 +7,7 @@ from manifold3d import Manifold
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller import parts as part
-from cluttergen_jax.assets.modeller.draw import Draw, Model, hex_colors, hex_rgb
+from cluttergen_jax.assets.modeller.draw import Draw, assemble, hex_colors, hex_rgb
 from cluttergen_jax.assets.modeller.solids import (
     Points2,
     above,
@@ -16,6 +16,7 @@ from cluttergen_jax.assets.modeller.solids import (
     difference,
     ellipse,
     extrude,
+    pipe,
     revolve,
     rounded_box,
     rounded_rect,
@@ -27,13 +28,14 @@ from cluttergen_jax.assets.modeller.solids import (
     upright,
 )
 from cluttergen_jax.assets.modeller.vessel import Vessel
-from cluttergen_jax.assets.shape import Cavity
+from cluttergen_jax.assets.shape import Cavity, Shape
+from cluttergen_jax.geometry import at_height
 
 PLATE_GLAZES = hex_colors("4f86a6 c9713f 6f8f5a a43f4f e3ded2 2f3e55 d8b64c")
 PORCELAIN = hex_colors("f1eee6 e6ecef f3e6d6 dfe7dc")
 
 
-def bowl(vary: Draw) -> Model:
+def bowl(vary: Draw) -> Shape:
     """A cereal bowl on a flat foot, glazed outside, light inside."""
     radius = vary(0.076)
     height = vary(0.064)
@@ -48,7 +50,7 @@ def bowl(vary: Draw) -> Model:
     floor = inner[0][1] - 0.003
     body = Vessel([(foot, 0.0), (foot, 0.004), *outer], [(inner[0][0] - 0.006, floor), *inner])
     outside, lining = body.layers(0.0012)
-    return Model(
+    return assemble(
         label="cereal bowl",
         pieces=((outside, vary.color(*PLATE_GLAZES)), (lining, (0.96, 0.94, 0.90))),
         parts=body.parts(8, cuts=(floor + 0.33 * (height - floor),)),
@@ -57,7 +59,7 @@ def bowl(vary: Draw) -> Model:
     )
 
 
-def dinner_plate(vary: Draw) -> Model:
+def dinner_plate(vary: Draw) -> Shape:
     """A flat plate with a raised rim and a coloured band near its edge."""
     radius = vary(0.130)
     height = vary(0.022, 0.2)
@@ -83,7 +85,7 @@ def dinner_plate(vary: Draw) -> Model:
     band = revolve(
         [(near, low - 0.0010), (far, high - 0.0010), (far, high + 0.0003), (near, low + 0.0003)]
     )
-    return Model(
+    return assemble(
         pieces=(
             (body.solid() - band, vary.color(*PORCELAIN, spread=0.02)),
             (band, vary.color(*PLATE_GLAZES)),
@@ -98,7 +100,7 @@ MUG_GLAZES = hex_colors("2f6f9f b8452f 3f7f5f e0a63a 7a4b8c 37424e d9d3c7")
 GLASS = hex_colors("a9d3e6 b9dfd0 c9c4e4 d7e0e4")
 
 
-def mug(vary: Draw) -> Model:
+def mug(vary: Draw) -> Shape:
     """A coffee mug with a light lining and one handle on its +x side."""
     radius = vary(0.041)
     height = vary(0.096, 0.2)
@@ -111,7 +113,7 @@ def mug(vary: Draw) -> Model:
     section = ellipse(vary(0.0068), vary(0.0038), 20)
     outside, lining = body.layers(0.0012)
     outside = union(outside, sweep(path, section) - body.inside() - lining)
-    return Model(
+    return assemble(
         label="coffee mug",
         pieces=((outside, vary.color(*MUG_GLAZES)), (lining, (0.95, 0.93, 0.89))),
         parts=(
@@ -141,7 +143,7 @@ def _handle_path(vary: Draw, body: Vessel, height: float) -> np.ndarray:
     return smooth_path(knots, 24)
 
 
-def water_glass(vary: Draw) -> Model:
+def water_glass(vary: Draw) -> Shape:
     """A tumbler of clear glass with a heavy base."""
     radius = vary(0.037)
     height = vary(0.120, 0.2)
@@ -161,7 +163,7 @@ def water_glass(vary: Draw) -> Model:
         (radius - wall + 0.0004, height),
     ]
     body = Vessel(outer, inner)
-    return Model(
+    return assemble(
         pieces=((body.solid(), vary.color(*GLASS), 0.5),),
         parts=body.parts(8),
         cavity=body.cavity(),
@@ -169,7 +171,7 @@ def water_glass(vary: Draw) -> Model:
     )
 
 
-def wine_glass(vary: Draw) -> Model:
+def wine_glass(vary: Draw) -> Shape:
     """A stemmed glass: a foot, a thin stem and a tulip-shaped bowl."""
     belly = vary(0.041, 0.12)
     mouth = vary.choose(0.80, 0.74, 0.86, 0.92)
@@ -188,7 +190,7 @@ def wine_glass(vary: Draw) -> Model:
     body = Vessel([(0.35 * belly, base), *outside], [(0.3 * belly, base + 0.0035), *inside])
     profile = [(0.0, 0.0), *lower, *body.outer, *reversed(body.inner), (0.0, body.floor)]
     cavity = revolve([(0.0, body.floor), *body.inner, (0.0, rim)])
-    return Model(
+    return assemble(
         pieces=((revolve(profile), vary.color(*GLASS), 0.5),),
         parts=(
             part.disc([(foot, 0.0), (foot, 0.0022), (0.25 * foot, 0.0060)], 8, is_standing=True),
@@ -204,7 +206,7 @@ TEAPOT_GLAZES = hex_colors("e8e2d4 b3262e 2f6f8f d9822b 3f6f4f 7a5a8c")
 TRIMS = hex_colors("2f5f9f 8a5a2b 25282c")
 
 
-def teapot(vary: Draw) -> Model:
+def teapot(vary: Draw) -> Shape:
     """A round teapot with its lid on, a spout at +x and a handle at -x."""
     radius = vary(0.072, 0.1)
     height = vary(0.105, 0.12)
@@ -230,7 +232,7 @@ def teapot(vary: Draw) -> Model:
     vessel = difference(union(body, tube(spout, 0.0115, scales=sizes), sweep(arm, bar)), bore)
     trim = vary.color(*TRIMS, spread=0.03)
     cells = part.thin_path(spout, 2)
-    return Model(
+    return assemble(
         pieces=(
             (vessel, vary.color(*TEAPOT_GLAZES, spread=0.04)),
             (_lid(neck, height), trim),
@@ -274,7 +276,7 @@ def _band(body: Manifold, height: float) -> Manifold:
 MILL_WOODS = hex_colors("8a4b25 b9793f 3b2417 c8322b 26282c ddb57a")
 
 
-def pepper_mill(vary: Draw) -> Model:
+def pepper_mill(vary: Draw) -> Shape:
     """A turned pepper mill: a waisted body, a metal ring, a round head with a knob."""
     radius = vary(0.0275, 0.1)
     height = vary(0.185, 0.25)
@@ -299,22 +301,16 @@ def pepper_mill(vary: Draw) -> Model:
     knob = [(0.30, 0.86), (0.36, 0.91), (0.42, 0.955), (0.24, 1.0)]
     knob = [(r * radius, z * height) for r, z in knob]
     body = [(0.0, 0.0), (radius - 0.0015, 0.0), (radius, 0.0015), *smooth_path(knots, 24)]
-    ring = [
-        (0.70 * chest, neck),
-        (0.76 * chest, neck),
-        (0.76 * chest, crown),
-        (0.70 * chest, crown),
-    ]
     low = (waist, 0.27 * height)
     high = (waist, 0.34 * height)
     steel = hex_rgb("c9ccd0")
-    return Model(
+    return assemble(
         pieces=(
             (
                 revolve([*body, *smooth_path(ball, 20), (0.0, head)]),
                 vary.color(*MILL_WOODS, spread=0.04),
             ),
-            (revolve(ring), steel),
+            (pipe(0.70 * chest, 0.76 * chest, neck, crown), steel),
             (revolve([(0.0, head), *smooth_path(knob, 14), (0.0, height)]), steel),
         ),
         parts=(
@@ -337,7 +333,7 @@ DARK = hex_rgb("25282c")
 UP = (0.0, 0.0, 1.0)
 
 
-def pot(vary: Draw) -> Model:
+def pot(vary: Draw) -> Shape:
     """An open cooking pot with two loop handles on its x axis."""
     radius = vary(0.100, 0.15)
     height = vary(0.110, 0.25)
@@ -355,7 +351,7 @@ def pot(vary: Draw) -> Model:
     legs = [
         cell for path in loops for cell in part.sweep(part.thin_path(path, 3, 0.05), corners, UP)
     ]
-    return Model(
+    return assemble(
         label="cooking pot",
         pieces=(
             (outside, vary.color(*ENAMELS, spread=0.04)),
@@ -381,7 +377,7 @@ def _loop(side: int, radius: float, z: float, half: float, reach: float) -> np.n
     return smooth_path([(side * x, side * y, z) for x, y in knots], 20)
 
 
-def frying_pan(vary: Draw) -> Model:
+def frying_pan(vary: Draw) -> Shape:
     """A low pan with a long handle at +x, balanced so that it stands on its base."""
     radius = vary(0.125, 0.12)
     height = vary(0.046, 0.15)
@@ -404,7 +400,7 @@ def frying_pan(vary: Draw) -> Model:
     grip = difference(sweep(path, bar, scales=sizes), body.inside(), body.solid())
     stations = part.thin_path(path, 3)
     scales = np.interp(stations[:, 0], path[:, 0], sizes)
-    return Model(
+    return assemble(
         pieces=(
             (outside, vary.color(*ENAMELS[5:], *ENAMELS[:5], spread=0.03)),
             (lining, hex_rgb("3a3d42")),
@@ -422,7 +418,7 @@ def frying_pan(vary: Draw) -> Model:
 _PAN_HANDLE = [(0.0, 0.0), (0.25, 0.008), (0.55, 0.018), (0.85, 0.022), (1.0, 0.020)]
 
 
-def colander(vary: Draw) -> Model:
+def colander(vary: Draw) -> Shape:
     """A metal sieve bowl with rows of holes, a flat base and two ears."""
     radius = vary(0.115, 0.12)
     height = vary(0.095, 0.15)
@@ -446,7 +442,7 @@ def colander(vary: Draw) -> Model:
     shell = difference(union(body.solid(), revolve(rim_path)), *holes)
     wires = [difference(tube(path, 0.0034, UP, segments=10), body.inside()) for path in ears]
     legs = [cell for path in ears for cell in part.sweep(part.thin_path(path, 3, 0.04), 0.0036, UP)]
-    return Model(
+    return assemble(
         pieces=((union(shell, *wires), vary.color(*METALS, spread=0.03)),),
         parts=(*body.parts(8), *legs),
         cavity=body.cavity(),
@@ -464,7 +460,7 @@ TOASTER_BODIES = hex_colors("c9ccd0 b3262e 8fb7b0 e6dfcf 2e3238 d9a441")
 TOASTER_DARK = hex_rgb("23262a")
 
 
-def toaster(vary: Draw) -> Model:
+def toaster(vary: Draw) -> Shape:
     """A two-slot toaster: slots along x, its lever at +x, a dial on the same end."""
     width = vary(0.265, 0.1)
     depth = vary(0.165, 0.08)
@@ -492,7 +488,7 @@ def toaster(vary: Draw) -> Model:
     rise = deep + 0.002
     low = floor - 0.002
     span = long + 0.004
-    return Model(
+    return assemble(
         pieces=(
             (difference(shell, *slots), vary.color(*TOASTER_BODIES, spread=0.04)),
             (difference(frame, shell, *slots), TOASTER_DARK),
@@ -527,7 +523,7 @@ WOODS = hex_colors("c08a4f a56b35 d8b27c 7a4a26")
 RAISE = 0.0004
 
 
-def fork(vary: Draw) -> Model:
+def fork(vary: Draw) -> Shape:
     """A table fork that lies on the end of its handle and on the root of its four tines."""
     length = vary(0.192, 0.1)
     width = vary(0.0250, 0.1)
@@ -553,14 +549,14 @@ def fork(vary: Draw) -> Model:
         _slab(ends[k : k + 2], halves[k : k + 2], lifts[k : k + 2] + raised[k], thick)
         for k in range(7)
     ]
-    end = part.hull(np.concatenate([legs[0].vertices, legs[1].vertices]))
+    end = part.hull(legs[0].vertices, legs[1].vertices)
     tines = [
         _slab(ends[-2:], np.full(2, prong / 2), lifts[-2:] + RAISE, thick, y, 0.88 * y)
         for y in places
     ]
     shift = np.array([-length / 2, 0.0, 0.0])
     parts = [piece.transform(np.eye(3), shift) for piece in (end, *legs[2:], *tines)]
-    return Model(
+    return assemble(
         label="table fork",
         pieces=((solid.translate((-length / 2, 0, 0)), vary.color(*STEELS, spread=0.03)),),
         parts=tuple(parts),
@@ -607,7 +603,7 @@ def _slab(
     return part.hull(corners)
 
 
-def knife(vary: Draw) -> Model:
+def knife(vary: Draw) -> Shape:
     """A chef's knife lying on its side, blade and handle flat on the table."""
     blade = vary(0.195, 0.15)
     grip = vary(0.125, 0.08)
@@ -631,7 +627,7 @@ def knife(vary: Draw) -> Model:
     )
     steel = vary.color(*STEELS[:2], spread=0.03)
     top = height - 0.0016
-    return Model(
+    return assemble(
         label="chef's knife",
         pieces=(
             (difference(flat, handle), steel),
@@ -649,7 +645,7 @@ def knife(vary: Draw) -> Model:
     )
 
 
-def wooden_spoon(vary: Draw) -> Model:
+def wooden_spoon(vary: Draw) -> Shape:
     """A cooking spoon with a flat underside, its bowl at +x."""
     length = vary(0.290, 0.12)
     reach = vary(0.040, 0.12)
@@ -666,11 +662,9 @@ def wooden_spoon(vary: Draw) -> Model:
     ends = ((-length / 2, 1.15 * radius), (center - 0.5 * reach, radius))
     stick = Manifold.hull(union(*(_rod_end(x, size) for x, size in ends)))
     rings = [(0.82, 0.0, 4), (0.86, part.LIFT, 8), (1.0, 0.009, 8), (0.91, 0.016, 8)]
-    corners = [
-        np.column_stack([ellipse(s * reach, s * half, n), np.full(n, z)]) for s, z, n in rings
-    ]
+    corners = [at_height(ellipse(s * reach, s * half, n), z) for s, z, n in rings]
     grip = [(x, y, z) for x, size in ends for y, z in _rod_corners(size)]
-    return Model(
+    return assemble(
         pieces=((difference(union(bowl, stick), scoop), vary.color(*WOODS)),),
         parts=(part.hull(np.concatenate(corners) + np.array([center, 0, 0])), part.hull(grip)),
         mass=vary(0.045, 0.2),
@@ -693,7 +687,7 @@ def _rod_corners(radius: float) -> Points2:
     return [*right, *((-y, z) for y, z in reversed(right))]
 
 
-def cutting_board(vary: Draw) -> Model:
+def cutting_board(vary: Draw) -> Shape:
     """A wooden board with a juice groove and a handle with a hole at its +x end."""
     width = vary(0.270, 0.15)
     depth = vary(0.190, 0.15)
@@ -714,7 +708,7 @@ def cutting_board(vary: Draw) -> Model:
     stripe = vary.choose(0.28, -0.28, 0.0) * depth
     band = difference(box((width, 0.10 * depth, thick), (0.0, stripe)) ^ board, groove)
     dark = tuple(0.62 * channel for channel in wood)
-    return Model(
+    return assemble(
         pieces=(
             (difference(board, groove, hole, band), wood),
             (band, (dark[0], dark[1], dark[2])),

@@ -55,6 +55,11 @@ def revolve(profile: Points2, segments: int = SEGMENTS) -> Manifold:
     return Manifold.revolve(_section(profile), segments)
 
 
+def pipe(inner: float, outer: float, low: float, high: float, segments: int = SEGMENTS) -> Manifold:
+    """A ring of rectangular section around the z axis."""
+    return revolve([(inner, low), (outer, low), (outer, high), (inner, high)], segments)
+
+
 def extrude(polygon: Points2, height: float, z: float = 0.0, top: float = 1.0) -> Manifold:
     """A prism from `z` to `z + height`; `top` scales its upper outline about the origin."""
     return Manifold.extrude(_section(polygon), height, scale_top=(top, top)).translate((0, 0, z))
@@ -224,9 +229,19 @@ def above(solid: Manifold, z: float = 0.0) -> Manifold:
     return solid.trim_by_plane((0, 0, 1), z)
 
 
-def hull(points: Sequence[Sequence[float]] | np.ndarray) -> Manifold:
-    """The convex solid spanned by points f64[N, 3]."""
-    return Manifold.hull_points(np.asarray(points, np.float64).reshape(-1, 3))
+def hull(*points: Sequence[Sequence[float]] | np.ndarray) -> Manifold:
+    """The convex solid spanned by one or several sets of points f64[N, 3]."""
+    return Manifold.hull_points(join_points(points))
+
+
+def join_points(sets: Sequence[Sequence[Sequence[float]] | np.ndarray]) -> np.ndarray:
+    """f64[N, 3]: the points of all sets."""
+    return np.concatenate([np.asarray(each, np.float64).reshape(-1, 3) for each in sets])
+
+
+def arc(turns: np.ndarray, across: float, rise: float) -> np.ndarray:
+    """f64[N, 3]: points of an arch in the xz plane, half axes `across` and `rise`, angles from x to z."""
+    return np.column_stack([across * np.cos(turns), 0 * turns, rise * np.sin(turns)])
 
 
 def upright(outline: Points2, depth: float, y: float = 0.0) -> Manifold:

@@ -29,7 +29,7 @@ from cluttergen_jax.assets.modeller.draw import (
     WHITE,
     YELLOW,
     Draw,
-    Model,
+    assemble,
 )
 from cluttergen_jax.assets.modeller.solids import (
     box,
@@ -44,11 +44,12 @@ from cluttergen_jax.assets.modeller.solids import (
     union,
     upright,
 )
+from cluttergen_jax.assets.shape import Shape
 
 BOARD = 0.003
 
 
-def hardback_book(vary: Draw) -> Model:
+def hardback_book(vary: Draw) -> Shape:
     """A closed book lying on its back cover, its rounded spine towards -y."""
     width = vary(0.215, 0.12)
     depth = vary(0.150, 0.12)
@@ -63,13 +64,13 @@ def hardback_book(vary: Draw) -> Model:
         (x * width, y * depth, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, height)
     ]
     title = _cover_art(vary.choose("ATLAS", "FABLES", "DUNES", "TALES"), width, depth, height)
-    return Model(
+    return assemble(
         pieces=(
             (cover, vary.color(NAVY, *MUTED)),
             (pages - cover, vary.color(PAPER, spread=0.03)),
             (title, vary.color(GOLD, CREAM, STEEL)),
         ),
-        parts=(part.hull([*rounded[::4], *rounded[1::4], *corners]),),
+        parts=(part.hull(rounded[::4], rounded[1::4], corners),),
         mass=720.0 * width * depth * height,
     )
 
@@ -92,7 +93,7 @@ def _cover_art(word: str, width: float, depth: float, height: float) -> Manifold
     return union(front.translate((0, 0, height)), *spine)
 
 
-def sticky_notes(vary: Draw) -> Model:
+def sticky_notes(vary: Draw) -> Shape:
     """A stack of pads in three colours, its top sheet written on and curling up."""
     side = vary(0.076, 0.12)
     height = vary(0.042, 0.25)
@@ -111,7 +112,7 @@ def sticky_notes(vary: Draw) -> Model:
     for k, length in enumerate((0.62, 0.52, 0.58)):
         row = (0.06 - 0.15 * k) * side
         note += box((length * side, 0.0022, 0.0012), ((length - 0.74) * side / 2, row), -0.0006)
-    return Model(
+    return assemble(
         pieces=(
             (block, colors[0]),
             *pads,
@@ -146,7 +147,7 @@ def _curl_part(side: float, height: float) -> Mesh:
     )
 
 
-def ring_binder(vary: Draw) -> Model:
+def ring_binder(vary: Draw) -> Shape:
     """A lever-arch file standing upright, its labelled spine towards -y."""
     height = vary(0.250, 0.08)
     depth = vary(0.205, 0.08)
@@ -168,7 +169,7 @@ def ring_binder(vary: Draw) -> Model:
     label = box((0.68 * width, 0.0016, 0.42 * height), (0, front + 0.0008), 0.46 * height)
     words = lettering("FILE", 0.13 * width).rotate((90, 0, 0)).translate((0, front, 0.79 * height))
     lines = [box((0.5 * width, 0.001, 0.003), (0, front), z * height) for z in (0.54, 0.61, 0.68)]
-    return Model(
+    return assemble(
         pieces=(
             (
                 union(spine, *sides),
@@ -194,7 +195,7 @@ def ring_binder(vary: Draw) -> Model:
 TAPE = (0.93, 0.86, 0.62)
 
 
-def stapler(vary: Draw) -> Model:
+def stapler(vary: Draw) -> Shape:
     """A desk stapler, its jaws towards -x."""
     length = vary(0.150, 0.12)
     width = vary(0.034, 0.12)
@@ -227,7 +228,7 @@ def stapler(vary: Draw) -> Model:
     lid += [(nose + 0.035, low + 0.030), (nose + 0.010, low + 0.026), (nose, low + 0.018)]
     anvil = box((0.022, 0.6 * width, 0.002), (nose + 0.018, 0), 0.0092)
     metal = union(upright(pivot, 0.36 * width), anvil, upright(rail, 0.7 * width))
-    return Model(
+    return assemble(
         pieces=(
             (upright(base, width + 0.004), vary.color(CHARCOAL, BLACK, GREY)),
             (metal, STEEL),
@@ -243,7 +244,7 @@ def stapler(vary: Draw) -> Model:
     )
 
 
-def tape_dispenser(vary: Draw) -> Model:
+def tape_dispenser(vary: Draw) -> Shape:
     """A weighted tape dispenser, its cutter towards -x."""
     length = vary(0.150, 0.1)
     width = vary(0.058, 0.1)
@@ -283,7 +284,7 @@ def tape_dispenser(vary: Draw) -> Model:
     comb = hull([*tooth, (0.001, 0, 0.054)])
     teeth = [comb.translate((nose, float(y), 0)) for y in np.linspace(-0.4, 0.4, 9) * slot]
     ribbon = hull(part.upright(strip, 0.72 * slot).vertices)
-    return Model(
+    return assemble(
         pieces=(
             (frame, vary.color(CHARCOAL, *DARK, *BRIGHT)),
             (union(spool, ribbon), TAPE),
@@ -293,11 +294,7 @@ def tape_dispenser(vary: Draw) -> Model:
         parts=(
             part.upright(base, width),
             part.upright(post, slot + 0.006),
-            part.rotate_part(
-                part.disc([(roll, -slot / 2), (roll, slot / 2)], 14),
-                (90, 0, 0),
-                (hub[0], 0, hub[1]),
-            ),
+            part.facing(roll, slot, 14, hub),
             *[part.upright(cheek, 0.010, s * side) for s in (-1, 1)],
             part.upright(tongue, 0.72 * slot),
         ),
@@ -305,7 +302,7 @@ def tape_dispenser(vary: Draw) -> Model:
     )
 
 
-def hole_punch(vary: Draw) -> Model:
+def hole_punch(vary: Draw) -> Shape:
     """A two-hole punch on a punched sheet, its paper slot towards -y."""
     width = vary(0.118, 0.1)
     depth = vary(0.104, 0.1)
@@ -331,7 +328,7 @@ def hole_punch(vary: Draw) -> Model:
     holes = [cylinder(0.0055, 1.0, center=(x, -0.36 * depth), segments=24) for x in places]
     sheet = difference(box((0.80 * width, 0.84 * depth, 0.0015), (0, -0.07 * depth), 0.012), *holes)
     metal = union(box(*bar), box(*wall), *pins, *rests) - lid - tray
-    return Model(
+    return assemble(
         pieces=(
             (tray, vary.color(CHARCOAL, BLACK, GREY)),
             (metal, STEEL),
@@ -343,7 +340,7 @@ def hole_punch(vary: Draw) -> Model:
     )
 
 
-def scissors(vary: Draw) -> Model:
+def scissors(vary: Draw) -> Shape:
     """A pair of scissors lying a little open, points towards +y."""
     size = vary(1.0, 0.12)
     opening = vary(8.0, 0.4)
@@ -381,7 +378,7 @@ def scissors(vary: Draw) -> Model:
         parts += [part.rotate_part(cell, spin, (*center, 0.0)) for cell in cells]
     handles = union(*grips)
     steel = union(*blades, cylinder(0.0045 * size, 0.0085, segments=24))
-    return Model(
+    return assemble(
         pieces=(
             (handles, vary.color(RED, *BRIGHT, CHARCOAL)),
             (steel - handles, STEEL),

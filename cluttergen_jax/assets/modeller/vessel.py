@@ -128,11 +128,11 @@ class Crate:
 
     def _inside(self, low: float, high: float) -> Manifold:
         """The space between the walls from one height to another."""
-        return cad.hull(np.concatenate([self.outline(z, self.wall) for z in (low, high)]))
+        return cad.hull(self.outline(low, self.wall), self.outline(high, self.wall))
 
     def solid(self) -> Manifold:
         """Floor and walls."""
-        block = cad.hull(np.concatenate([self.outline(0.0), self.outline(self.height)]))
+        block = cad.hull(self.outline(0.0), self.outline(self.height))
         return block - self._inside(self.floor, self.height * 1.2)
 
     def cavity(self, low: float | None = None) -> Cavity:
