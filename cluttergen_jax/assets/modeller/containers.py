@@ -33,6 +33,7 @@ from cluttergen_jax.assets.modeller.solids import (
     difference,
     ellipse,
     hull,
+    lathe,
     pipe,
     revolve,
     rounded_rect,
@@ -79,7 +80,7 @@ def bottle(vary: Draw) -> Shape:
     return assemble(
         label="wine bottle",
         pieces=(
-            (revolve([(0.0, 0.0), *body, (0.0, height)]), vary.color(*BOTTLE_GLASS, spread=0.03)),
+            (lathe(body), vary.color(*BOTTLE_GLASS, spread=0.03)),
             (foil, cap := vary.color(*CAPS, spread=0.03)),
             (_sleeve(radius, low, high), LABEL_PAPER),
             (_sleeve(radius, low + 0.25 * (high - low), low + 0.45 * (high - low), 0.0008), cap),
@@ -110,7 +111,7 @@ def soup_can(vary: Draw) -> Shape:
         (radius + rim, height - lip),
         (radius + rim, height - 0.0008),
     ]
-    tin += [(radius - 0.001, height), (radius - 0.002, height - 0.003), (0.0, height - 0.003)]
+    tin += [(radius - 0.001, height), (radius - 0.002, height - 0.003)]
     low = lip + 0.002
     high = height - lip - 0.002
     middle = low + vary.within(0.52, 0.35, 0.65) * (high - low)
@@ -118,7 +119,7 @@ def soup_can(vary: Draw) -> Shape:
     color = vary.color(*LABELS)
     return assemble(
         pieces=(
-            (revolve([(0.0, 0.0), *tin]), TIN),
+            (lathe(tin), TIN),
             (_sleeve(radius, middle + band, high), color),
             (_sleeve(radius, middle - band, middle + band), hex_rgb("d8b354")),
             (_sleeve(radius, low, middle - band), LABEL_PAPER),
@@ -141,19 +142,17 @@ def jar(vary: Draw) -> Shape:
         (radius, shoulder),
         (neck - 0.002, shoulder + 0.012),
     ]
-    body = revolve([(0.0, 0.0), *outer, (neck - 0.002, height - 0.002), (0.0, height - 0.002)])
+    body = lathe([*outer, (neck - 0.002, height - 0.002)])
     level = shoulder * vary.within(0.90, 0.82, 0.95)
     # The glass above the jam is a skin: a surface inside the body would count as a part of its outside.
     rising = [(radius, level), (radius, shoulder), (neck - 0.002, shoulder + 0.012)]
-    skin = revolve([(0.0, level), *((r + 0.0003, z) for r, z in rising), (0.0, shoulder + 0.012)])
+    skin = lathe([(r + 0.0003, z) for r, z in rising])
     low = 0.24 * shoulder
     high = 0.78 * shoulder
     ribs = [
         (neck + 0.0005 * (k % 2), height - lid + 0.002 + (lid - 0.005) * k / 8) for k in range(9)
     ]
-    cap = revolve(
-        [(0.0, height - lid), (neck, height - lid), *ribs, (neck - 0.002, height), (0.0, height)]
-    )
+    cap = lathe([(neck, height - lid), *ribs, (neck - 0.002, height)])
     return assemble(
         label="jar with a lid",
         pieces=(

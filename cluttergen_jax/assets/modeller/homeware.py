@@ -42,6 +42,7 @@ from cluttergen_jax.assets.modeller.solids import (
     extrude,
     facing,
     hull,
+    lathe,
     lettering,
     pipe,
     revolve,
@@ -303,8 +304,7 @@ def _trim(pot: Vessel, low: float, high: float) -> Manifold:
     rings = []
     for z in (low + 0.25 * (high - low), low + 0.75 * (high - low)):
         radius = pot.outer_radius(z)
-        section = 0.001 * np.array([(-1.0, 0.0), (0.9, 0.0), (0.9, 3.0), (-1.0, 3.0)])
-        rings.append(revolve(np.add(section, (radius, z))))
+        rings.append(pipe(radius - 0.001, radius + 0.0009, z, z + 0.003))
     return union(*rings)
 
 
@@ -395,7 +395,7 @@ def desk_lamp(vary: Draw) -> Shape:
     ]
     return assemble(
         pieces=(
-            (revolve([(0, 0), *base, (0, 0.020 * size)]), color),
+            (lathe(base), color),
             (arms, vary.color(SILVER, GOLD, CHARCOAL)),
             (joints, BLACK),
             (shade_solid.rotate((0, pitch, 0)).translate(head), color),
@@ -420,13 +420,12 @@ def candle(vary: Draw) -> Shape:
     lip = 0.012
     floor = 0.006
     saucer = [
-        (0.0, 0.0),
         (0.72 * dish, 0.0),
         (dish, lip),
         (dish - 0.003, lip + 0.001),
         (0.68 * dish, floor),
     ]
-    socket = [(0.0, 0.0), (radius + 0.004, 0.0), (radius + 0.005, 0.022), (0.0, 0.022)]
+    socket = [(radius + 0.004, 0.0), (radius + 0.005, 0.022)]
     turns = np.linspace(0.0, 2 * np.pi, 25)[:-1]
     reach = dish + 0.010
     ring = 0.014
@@ -446,7 +445,7 @@ def candle(vary: Draw) -> Shape:
         part.rotate_part(cell, (90, 0, 0), (reach, 0, lip + 0.007))
         for cell in part.ring_sectors([(r * 1.08, z) for r, z in square], 5, phase=turns[6])
     ]
-    metal = union(revolve([*saucer, (0.0, floor)]), revolve(socket), loop)
+    metal = union(lathe(saucer), lathe(socket), loop)
     return assemble(
         label="candle in a holder",
         pieces=(
@@ -544,9 +543,9 @@ def globe(vary: Draw) -> Shape:
         *[cylinder(0.003, 0.014, z=z, segments=16) for z in (radius - 0.002, -radius - 0.012)]
     )
     lowest = middle - reach
-    base = [(0.0, 0.0), (foot, 0.0), (foot, 0.008), (0.35 * foot, 0.020), (0.0, 0.020)]
+    base = [(foot, 0.0), (foot, 0.008), (0.35 * foot, 0.020)]
     neck = lowest - bar + 0.003
-    stem = [(0.0, 0.014), (0.020, 0.014), (0.009, 0.030), (0.007, neck), (0.0, neck)]
+    stem = [(0.020, 0.014), (0.009, 0.030), (0.007, neck)]
     brass = vary.color(GOLD, SILVER, STEEL)
     bow = arc(np.radians(np.linspace(-90, 90, 6)), 1.03 * reach, 1.03 * reach)
     return assemble(
@@ -556,7 +555,7 @@ def globe(vary: Draw) -> Shape:
             (ice.rotate(tilt).translate(at), WHITE),
             (union(half_ring, pins).rotate(tilt).translate(at), brass),
             (
-                union(revolve(base), revolve(stem)),
+                union(lathe(base), lathe(stem)),
                 vary.color(DARK_WOOD, WOOD, CHARCOAL),
             ),
         ),

@@ -16,6 +16,7 @@ from cluttergen_jax.assets.modeller.solids import (
     difference,
     ellipse,
     extrude,
+    lathe,
     pipe,
     revolve,
     rounded_box,
@@ -188,16 +189,15 @@ def wine_glass(vary: Draw) -> Shape:
     inside = [(r - wall, z) for r, z in outside]
     lower = [(foot, 0.0), (foot, 0.0022), (0.3 * foot, 0.0055), (radius, 0.014), (radius, stem)]
     body = Vessel([(0.35 * belly, base), *outside], [(0.3 * belly, base + 0.0035), *inside])
-    profile = [(0.0, 0.0), *lower, *body.outer, *reversed(body.inner), (0.0, body.floor)]
-    cavity = revolve([(0.0, body.floor), *body.inner, (0.0, rim)])
+    profile = [*lower, *body.outer, *reversed(body.inner)]
     return assemble(
-        pieces=((revolve(profile), vary.color(*GLASS), 0.5),),
+        pieces=((lathe(profile), vary.color(*GLASS), 0.5),),
         parts=(
             part.disc([(foot, 0.0), (foot, 0.0022), (0.25 * foot, 0.0060)], 8, is_standing=True),
             part.disc([(1.1 * radius, 0.004), (1.1 * radius, base + 0.001)], 6),
             *body.parts(8, cuts=(wide,)),
         ),
-        cavity=Cavity(to_mesh(cavity), (0.0, 0.0, rim)),
+        cavity=body.cavity(),
         mass=vary(0.16, 0.15),
     )
 
@@ -215,7 +215,7 @@ def teapot(vary: Draw) -> Shape:
     reach = vary(0.058, 0.1)
     belly = [(base, 0.004), (0.93 * radius, 0.26 * height), (radius, 0.48 * height)]
     belly += [(0.85 * radius, 0.77 * height), (neck, height)]
-    body = revolve([(0.0, 0.0), (base - 0.003, 0.0), *smooth_path(belly, 30), (0.0, height)])
+    body = lathe([(base - 0.003, 0.0), *smooth_path(belly, 30)])
     rising = [(0.80, 0.0, 0.34), (1.0, 0.38, 0.46), (1.0, 0.66, 0.74), (1.0, 1.0, 0.97)]
     spout = smooth_path([(r * radius + s * reach, 0, z * height) for r, s, z in rising], 20)
     falling = [
@@ -300,18 +300,18 @@ def pepper_mill(vary: Draw) -> Shape:
     ball += [(0.75 * chest, head - 0.06 * depth), (0.30 * chest, head)]
     knob = [(0.30, 0.86), (0.36, 0.91), (0.42, 0.955), (0.24, 1.0)]
     knob = [(r * radius, z * height) for r, z in knob]
-    body = [(0.0, 0.0), (radius - 0.0015, 0.0), (radius, 0.0015), *smooth_path(knots, 24)]
+    body = [(radius - 0.0015, 0.0), (radius, 0.0015), *smooth_path(knots, 24)]
     low = (waist, 0.27 * height)
     high = (waist, 0.34 * height)
     steel = hex_rgb("c9ccd0")
     return assemble(
         pieces=(
             (
-                revolve([*body, *smooth_path(ball, 20), (0.0, head)]),
+                lathe([*body, *smooth_path(ball, 20)]),
                 vary.color(*MILL_WOODS, spread=0.04),
             ),
             (pipe(0.70 * chest, 0.76 * chest, neck, crown), steel),
-            (revolve([(0.0, head), *smooth_path(knob, 14), (0.0, height)]), steel),
+            (lathe(smooth_path(knob, 14)), steel),
         ),
         parts=(
             part.disc(

@@ -55,6 +55,12 @@ def revolve(profile: Points2, segments: int = SEGMENTS) -> Manifold:
     return Manifold.revolve(_section(profile), segments)
 
 
+def lathe(profile: Points2, segments: int = SEGMENTS) -> Manifold:
+    """The body of revolution whose outside is a profile of (radius, z) points, closed level at both ends."""
+    closed = [(0.0, profile[0][1]), *profile, (0.0, profile[-1][1])]
+    return revolve(closed, segments)
+
+
 def pipe(inner: float, outer: float, low: float, high: float, segments: int = SEGMENTS) -> Manifold:
     """A ring of rectangular section around the z axis."""
     return revolve([(inner, low), (outer, low), (outer, high), (inner, high)], segments)

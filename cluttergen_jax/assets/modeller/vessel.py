@@ -41,33 +41,22 @@ class Vessel:
 
     def solid(self, segments: int = cad.SEGMENTS) -> Manifold:
         """The wall and the floor."""
-        outline = [(0.0, self.outer[0][1]), *self.outer, *reversed(self.inner), (0.0, self.floor)]
-        return cad.revolve(outline, segments)
+        return cad.lathe([*self.outer, *reversed(self.inner)], segments)
 
     def layers(self, thickness: float, segments: int = cad.SEGMENTS) -> tuple[Manifold, Manifold]:
         """The solid in two closed shells, outside and lining, for two colours."""
-        grown = [
-            (0.0, self.floor - thickness),
-            *((r + thickness, z - thickness) for r, z in self.inner),
-        ]
-        tool = cad.revolve(
-            [*grown, (grown[-1][0], self.rim + 1.0), (0.0, self.rim + 1.0)], segments
-        )
+        grown = [(r + thickness, z - thickness) for r, z in self.inner]
+        tool = cad.lathe([*grown, (grown[-1][0], self.rim + 1.0)], segments)
         whole = self.solid(segments)
         return whole - tool, whole ^ tool
 
     def inside(self, segments: int = cad.SEGMENTS) -> Manifold:
         """The space inside, open upwards: what has to be cut from handles that reach through the wall."""
-        radius = self.inner[-1][0]
-        return cad.revolve(
-            [(0.0, self.floor), *self.inner, (radius, self.rim + 1.0), (0.0, self.rim + 1.0)],
-            segments,
-        )
+        return cad.lathe([*self.inner, (self.inner[-1][0], self.rim + 1.0)], segments)
 
     def cavity(self, segments: int = cad.SEGMENTS) -> Cavity:
         """The space inside, up to the rim's plane."""
-        inside = cad.revolve([(0.0, self.floor), *self.inner, (0.0, self.rim)], segments)
-        return Cavity(cad.to_mesh(inside), (0.0, 0.0, self.rim))
+        return Cavity(cad.to_mesh(cad.lathe(self.inner, segments)), (0.0, 0.0, self.rim))
 
     def outer_radius(self, z: float) -> float:
         """The radius of the outside at height z."""
@@ -85,11 +74,11 @@ class Vessel:
         Only the disc reaches the table, so that a body has one flat face to stand on. `swell` widens the
         walls: a polygon inside a circle takes room from the cavity, one halfway outside takes less.
         """
-        disc = [(self.outer_radius(z), z) for z in (self.outer[0][1], self.floor)]
-        heights = [self.floor, *cuts, self.rim]
-        rows = [self._row(low, high, swell) for low, high in itertools.pairwise(heights)]
-        walls = [wedge for row in rows for wedge in part.ring_sectors(row, num, phase)]
-        return (part.disc(disc, num if num >= 10 else 12, phase, is_standing=True), *walls)
+        base = [(self.outer_radius(z), z) for z in (self.outer[0][1], self.floor)]
+        found = [part.disc(base, num if num >= 10 else 12, phase, is_standing=True)]
+        for low, high in itertools.pairwise([self.floor, *cuts, self.rim]):
+            found += part.ring_sectors(self._row(low, high, swell), num, phase)
+        return tuple(found)
 
     def _row(self, low: float, high: float, swell: float) -> list[tuple[float, float]]:
         """The section of the wall between two heights; its foot is sunk a little into what lies below."""
