@@ -59,6 +59,11 @@ class Box:
         return rectangle_corners(self.center[:2], self.half_extents[:2], self.yaw)
 
     @property
+    def top(self) -> float:
+        """Metres: the height of its upper face."""
+        return self.center[2] + self.half_extents[2]
+
+    @property
     def mesh(self) -> Mesh:
         """Its triangles, world frame."""
         local = _BOX_CORNERS * self.half_extents
@@ -98,6 +103,16 @@ class Rectangle:
     def corners(self) -> np.ndarray:
         """f64[4, 2], metres, world x and y, counter-clockwise."""
         return rectangle_corners(self.center, self.half_extents, self.yaw)
+
+    def covers(self, points: np.ndarray) -> np.ndarray:
+        """bool[...]: whether points, f64[..., 2], lie in it or on its edge."""
+        local = rotate_in_plane(points - np.array(self.center), -self.yaw)
+        return (np.abs(local) <= self.half_extents).all(-1)
+
+    def spread(self, shares: np.ndarray, margin: float = 0.0) -> np.ndarray:
+        """f64[N, 2]: the points at shares f64[N, 2] of its half extents, which may be larger by a margin."""
+        local = shares * (np.array(self.half_extents) + margin)
+        return rotate_in_plane(local, self.yaw) + self.center
 
 
 @dataclass(frozen=True)
@@ -212,9 +227,7 @@ class SupportAsset:
     @property
     def level_boxes(self) -> list[Box]:
         """Those that end at the height of its top."""
-        return [
-            box for box in self.boxes if abs(box.center[2] + box.half_extents[2] - self.top) < LEVEL
-        ]
+        return [box for box in self.boxes if abs(box.top - self.top) < LEVEL]
 
     @property
     def asked(self) -> tuple[tuple[Surface, int], ...]:
