@@ -522,9 +522,9 @@ _EXACT_LIMITS = (0.03, ALWAYS)
 """The same of parts that are near as they are."""
 
 
-def decompose(solid: Solid, config: DecompositionConfig, jitter: float = 0.0) -> list[np.ndarray]:
+def decompose(solid: Solid, config: DecompositionConfig) -> list[np.ndarray]:
     """The first of `decompositions`."""
-    return next(decompositions(solid, config, jitter))
+    return next(decompositions(solid, config))
 
 
 def decompositions(

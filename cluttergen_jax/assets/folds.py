@@ -32,11 +32,6 @@ class _Neighbours:
     is_fold: np.ndarray  # bool[N], where one lies over the other; else beside it.
 
 
-def num_folds(mesh: Mesh) -> int:
-    """At how many edges a surface turns back flat over itself; its vertices are welded."""
-    return int(_neighbours(mesh).is_fold.sum()) if len(mesh.faces) else 0
-
-
 def without_folds(mesh: Mesh, uv: np.ndarray | None = None) -> Mesh:
     """The mesh without such folds, where they can be cut anew, each within the outline around it.
 

@@ -12,6 +12,7 @@ from scipy import sparse
 from cluttergen_jax.assets.mesh import Mesh, unique_rows
 
 _CREASE = math.radians(40)
+"""Faces that meet at a greater angle do not share a normal."""
 
 
 class Shaded(NamedTuple):
@@ -30,14 +31,13 @@ class Shaded(NamedTuple):
     uv: np.ndarray | None
 
 
-def shade(mesh: Mesh, uv: np.ndarray | None = None, crease: float = _CREASE) -> Shaded:
+def shade(mesh: Mesh, uv: np.ndarray | None = None) -> Shaded:
     """The mesh with normals; a vertex on an edge, or on a seam of its image, comes once for each side.
 
     Triangles without area are left out.
 
     Args:
       uv: f[V, 2], if there is a texture.
-      crease: radians; faces that meet at a greater angle do not share a normal.
     """
     points, place = np.unique(np.round(mesh.vertices, 7), axis=0, return_inverse=True)
     faces = place.reshape(-1)[mesh.faces]
@@ -47,7 +47,7 @@ def shade(mesh: Mesh, uv: np.ndarray | None = None, crease: float = _CREASE) -> 
     faces = faces[keep]
     normals = normals[keep] / area[keep, None]
     area = area[keep]
-    smooth = _smooth_normals(faces, normals, area, len(points), math.cos(crease))
+    smooth = _smooth_normals(faces, normals, area, len(points), math.cos(_CREASE))
     corner_uv = None if uv is None else np.asarray(uv, np.float32)[mesh.faces[keep].ravel()]
     # Equal normals at one vertex, with equal uv, become one vertex again.
     keys = [faces.ravel(), np.round(smooth * 1e4).astype(np.int64)]

@@ -21,6 +21,8 @@ _MAX_FACES = 100_000
 _MOST_PLAIN = 20_000
 """Triangles: of finer surfaces nobody knows the components."""
 _HAIR = 2e-4
+_CELLS = 80
+"""Along the longest side of a surface that is rebuilt."""
 _ROUNDING = 1e-6
 
 
@@ -192,13 +194,13 @@ def _mend(mesh: Mesh) -> Mesh:
     return clean_mesh(Mesh(tri.vertices, tri.faces), is_closed=True)
 
 
-def _rebuild(surface: Mesh, cells: int = 80) -> Mesh:
+def _rebuild(surface: Mesh) -> Mesh:
     """A closed surface just around all triangles, drawn back onto them.
 
     The level set lies most of a cell outside of the samples, so that sheets without thickness and small
     gaps are closed; then each vertex goes back to a quarter of a cell from its nearest sample.
     """
-    voxels = Voxels.of(surface, cells)
+    voxels = Voxels.of(surface, _CELLS)
     # What lies deep inside counts as filled: only the skin is drawn.
     skin = voxels.surface & dilate(voxels.outside)
     tree = cKDTree(voxels.samples[skin[voxels.index(voxels.samples)]])

@@ -302,12 +302,10 @@ MAX_TEXTURED = 20000
 _COLOUR_STEPS = 32
 
 
-def simplify_pieces(
-    pieces: Sequence[Piece], max_triangles: int = MAX_TRIANGLES, max_textured: int = MAX_TEXTURED
-) -> tuple[Piece, ...]:
+def simplify_pieces(pieces: Sequence[Piece], max_textured: int = MAX_TEXTURED) -> tuple[Piece, ...]:
     """Pieces of like colour and image joined, welded and simplified.
 
-    To about `max_triangles` in all without an image, and `max_textured` in all with one. Sheets are given
+    To about 6,000 triangles in all without an image, and `max_textured` in all with one. Sheets are given
     their second side later, which can double their number.
     """
     groups: dict[tuple[object, ...], list[Piece]] = {}
@@ -321,7 +319,7 @@ def simplify_pieces(
     out = []
     for piece in merged:
         if piece.texture is None:
-            small = _simplify(piece.mesh, min(1.0, max_triangles / plain))
+            small = _simplify(piece.mesh, min(1.0, MAX_TRIANGLES / plain))
             out.append(replace(piece, mesh=small))
         else:
             out.append(_simplify_textured(piece, min(1.0, max_textured / textured)))

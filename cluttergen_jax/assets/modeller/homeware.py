@@ -340,11 +340,14 @@ def basket(vary: Draw) -> Shape:
     )
 
 
-def _weave(tub: Crate, top: float, rows: int = 7) -> Manifold:
+_WOVEN_ROWS = 7
+
+
+def _weave(tub: Crate, top: float) -> Manifold:
     """Raised strands in a chequer around the four walls, up to height `top`."""
     strands = []
-    levels = np.linspace(0.004, top - 0.001, rows + 1)
-    for j in range(rows):
+    levels = np.linspace(0.004, top - 0.001, _WOVEN_ROWS + 1)
+    for j in range(_WOVEN_ROWS):
         low = levels[j] + 0.0008
         high = levels[j + 1] - 0.0008
         rings = [tub.outline(z, inset) for z in (low, high) for inset in (0.001, -0.0018)]

@@ -10,7 +10,6 @@ from itertools import pairwise
 
 import numpy as np
 from manifold3d import Manifold
-from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.config import MAX_PART_VERTICES
@@ -22,6 +21,7 @@ from cluttergen_jax.assets.modeller.solids import (
     section_rings,
     to_mesh,
 )
+from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.geometry import at_height
 
@@ -36,12 +36,12 @@ def hull(*points: Sequence[Sequence[float]] | np.ndarray) -> Mesh:
       AssetError: the points are flat, or their hull has more than 32 corners.
     """
     cloud = join_points(points)
-    try:
-        corners = cloud[np.sort(ConvexHull(cloud).vertices)]
-    except QhullError as error:
+    found = hull_of(cloud)
+    if found is None:
         raise AssetError(
             f"{len(cloud)} points without volume", "points that span a solid", "a thicker part"
-        ) from error
+        )
+    corners = cloud[np.sort(found.vertices)]
     if len(corners) > MAX_PART_VERTICES:
         raise AssetError(
             f"a part with {len(corners)} corners",
@@ -57,17 +57,15 @@ def box(size: Sequence[float], center: Sequence[float] = (0, 0), z: float = 0.0)
     return hull(signs * np.asarray(size) + np.array([center[0], center[1], z]))
 
 
-def prism(polygon: Points2, height: float, z: float = 0.0, top: float = 1.0) -> Mesh:
-    """The hull of a polygon drawn up from `z` to `z + height`; `top` scales its upper outline."""
-    outline = np.asarray(polygon, np.float64)
-    return hull(at_height(outline, z), at_height(outline * top, z + height))
+def prism(polygon: Points2, height: float, z: float = 0.0) -> Mesh:
+    """The hull of a polygon drawn up from `z` to `z + height`."""
+    return hull(at_height(polygon, z), at_height(polygon, z + height))
 
 
 def disc(
     profile: Points2,
     num: int = 12,
     phase: float = 0.0,
-    center: Sequence[float] = (0, 0),
     is_standing: bool = False,
 ) -> Mesh:
     """A solid of revolution as a polygon of `num` sides.
@@ -76,7 +74,6 @@ def disc(
       profile: (radius, z) points that bulge outwards, such as [(r, 0), (r, h)]; a radius of 0 is one apex.
       num: corners per ring; `num` times the number of rings is at most 32.
       phase: radians; a corner lies on the x axis turned by this.
-      center: where its axis stands.
       is_standing: the lowest ring touches the table with four corners only; the others end `LIFT` higher.
         A simulator keeps four contacts between two faces. Where a face has more corners its choice may change
         from step to step, and something tall and light then trembles without end.
@@ -88,7 +85,7 @@ def disc(
         profile = [(radius, low + LIFT), *others]
     for radius, z in profile:
         rings.append(_ring(radius, z, num if radius > 0 else 1, phase))
-    return hull(np.concatenate(rings) + np.array([*center, 0.0]))
+    return hull(np.concatenate(rings) + 0.0)
 
 
 def facing(radius: float, depth: float, num: int, center: Sequence[float] = (0, 0)) -> Mesh:
@@ -97,30 +94,18 @@ def facing(radius: float, depth: float, num: int, center: Sequence[float] = (0, 
     return rotate_part(upright_disc, (90, 0, 0), (center[0], 0, center[1]))
 
 
-def ring_sectors(
-    profile: Points2,
-    num: int = 8,
-    phase: float = 0.0,
-    start: float = 0.0,
-    stop: float = 2 * np.pi,
-    center: Sequence[float] = (0, 0),
-) -> tuple[Mesh, ...]:
+def ring_sectors(profile: Points2, num: int = 8, phase: float = 0.0) -> tuple[Mesh, ...]:
     """The wall of a cup, a bowl or a ring, as convex wedges.
 
     Args:
       profile: the wall's section, a convex outline of (radius, z) points, all radii positive.
-      num: wedges between the angles `start` and `stop`; corners lie on the true circle.
+      num: wedges; corners lie on the true circle.
       phase: radians added to all angles.
-      center: where the axis stands.
     """
-    angles = np.linspace(start, stop, num + 1) + phase
-    outline = np.asarray(profile, np.float64)
-    radius, z = outline.T
-    shift = np.array([*center, 0.0])
-    edges = [np.column_stack([radius * np.cos(a), radius * np.sin(a), z]) + shift for a in angles]
-    if np.isclose(stop - start, 2 * np.pi):
-        # sin(2 pi) is not quite 0: a gap, however fine, would show up as two more faces
-        edges[-1] = edges[0]
+    radius, z = np.asarray(profile, np.float64).T
+    angles = np.linspace(0.0, 2 * np.pi, num + 1)[:-1] + phase
+    edges = [np.column_stack([radius * np.cos(a), radius * np.sin(a), z]) + 0.0 for a in angles]
+    edges.append(edges[0])
     return tuple(hull(*pair) for pair in pairwise(edges))
 
 

@@ -16,6 +16,7 @@ from manifold3d import CrossSection, Manifold
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.solid import as_manifold
 from cluttergen_jax.errors import AssetError
 
 Points2 = Sequence[tuple[float, float]] | np.ndarray
@@ -55,10 +56,9 @@ def revolve(profile: Points2, segments: int = SEGMENTS) -> Manifold:
     return Manifold.revolve(_section(profile), segments)
 
 
-def lathe(profile: Points2, segments: int = SEGMENTS) -> Manifold:
+def lathe(profile: Points2) -> Manifold:
     """The body of revolution whose outside is a profile of (radius, z) points, closed level at both ends."""
-    closed = [(0.0, profile[0][1]), *profile, (0.0, profile[-1][1])]
-    return revolve(closed, segments)
+    return revolve([(0.0, profile[0][1]), *profile, (0.0, profile[-1][1])])
 
 
 def pipe(inner: float, outer: float, low: float, high: float, segments: int = SEGMENTS) -> Manifold:
@@ -66,9 +66,9 @@ def pipe(inner: float, outer: float, low: float, high: float, segments: int = SE
     return revolve([(inner, low), (outer, low), (outer, high), (inner, high)], segments)
 
 
-def extrude(polygon: Points2, height: float, z: float = 0.0, top: float = 1.0) -> Manifold:
-    """A prism from `z` to `z + height`; `top` scales its upper outline about the origin."""
-    return Manifold.extrude(_section(polygon), height, scale_top=(top, top)).translate((0, 0, z))
+def extrude(polygon: Points2, height: float, z: float = 0.0) -> Manifold:
+    """A prism from `z` to `z + height`."""
+    return Manifold.extrude(_section(polygon), height).translate((0, 0, z))
 
 
 def box(size: Sequence[float], center: Sequence[float] = (0, 0), z: float = 0.0) -> Manifold:
@@ -154,21 +154,16 @@ def sweep(
     rings = section_rings(path, section, side, scales)
     num_stations, num_corners = rings.shape[:2]
     index = np.arange(num_stations * num_corners).reshape(num_stations, num_corners)
+    following = np.roll(index, -1, 1)
     a = index[:-1]
-    b = np.roll(index, -1, 1)[:-1]
+    b = following[:-1]
     c = index[1:]
-    d = np.roll(index, -1, 1)[1:]
+    d = following[1:]
     walls = np.concatenate([np.stack([a, b, d], -1), np.stack([a, d, c], -1)]).reshape(-1, 3)
-    fan = np.stack(
-        [np.zeros(num_corners - 2), np.arange(1, num_corners - 1), np.arange(2, num_corners)], -1
-    )
-    fan = fan.astype(np.int64)
+    second = np.arange(1, num_corners - 1)
+    fan = np.stack([0 * second, second, second + 1], -1)
     faces = np.concatenate([walls, index[0][fan[:, ::-1]], index[-1][fan]])
-    mesh = manifold3d.Mesh64(
-        vert_properties=np.ascontiguousarray(rings.reshape(-1, 3)),
-        tri_verts=np.ascontiguousarray(faces, np.uint64),
-    )
-    return Manifold(mesh)
+    return as_manifold(Mesh(rings, faces))
 
 
 def tube(
@@ -230,9 +225,9 @@ def difference(solid: Manifold, *tools: Manifold) -> Manifold:
     return Manifold.batch_boolean([solid, *tools], manifold3d.OpType.Subtract)
 
 
-def above(solid: Manifold, z: float = 0.0) -> Manifold:
-    """What of a solid lies above height `z`: gives anything a flat face to rest on."""
-    return solid.trim_by_plane((0, 0, 1), z)
+def above(solid: Manifold) -> Manifold:
+    """What of a solid lies above z = 0: gives anything a flat face to rest on."""
+    return solid.trim_by_plane((0, 0, 1), 0.0)
 
 
 def hull(*points: Sequence[Sequence[float]] | np.ndarray) -> Manifold:
@@ -263,6 +258,9 @@ def _section(polygon: Points2) -> CrossSection:
         points = points[::-1]
     return CrossSection([points])
 
+
+_RELIEF = 0.0006
+"""Metres, of letters; as much again is sunk below the plane, to join what they stand on."""
 
 # Five rows of each letter, top to bottom; a mark is a filled cell.
 _GLYPHS = {
@@ -295,13 +293,12 @@ _GLYPHS = {
 }
 
 
-def lettering(text: str, height: float, relief: float = 0.0006) -> Manifold:
+def lettering(text: str, height: float) -> Manifold:
     """Words in relief on the plane z = 0, read along x with y up, centred on the origin.
 
     Args:
       text: of letters that are drawn above.
       height: metres, of a letter.
-      relief: metres; as much again is sunk below the plane, to join what it stands on.
     """
     cell = height / 5
     bars = []
@@ -311,9 +308,9 @@ def lettering(text: str, height: float, relief: float = 0.0006) -> Manifold:
             bars += [
                 # Cells reach a little over their neighbours, so that letters are joined at corners too.
                 box(
-                    (cell * (len(run) + 0.1), cell * 1.1, 2 * relief),
+                    (cell * (len(run) + 0.1), cell * 1.1, 2 * _RELIEF),
                     (cell * (pen + start + len(run) / 2), cell * (4.5 - row)),
-                    -relief,
+                    -_RELIEF,
                 )
                 for start, run in _runs(line)
             ]
