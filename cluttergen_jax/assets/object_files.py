@@ -29,8 +29,7 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.mjcf import object_xml
 from cluttergen_jax.assets.obj import parse_surface, surface_text
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, RestingPose
-from cluttergen_jax.assets.shape import Piece, Provenance
-from cluttergen_jax.assets.texture import Texture
+from cluttergen_jax.assets.shape import Piece, Provenance, Texture
 from cluttergen_jax.errors import AssetError, PoolError
 from cluttergen_jax.files import inside, read_inside, read_regular, write_atomically
 from cluttergen_jax.schema import (

@@ -18,8 +18,7 @@ from PIL import Image
 from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.mesh import UV_DIGITS, Mesh, clean_mesh, join_meshes, unique_rows, weld
-from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.texture import Texture
+from cluttergen_jax.assets.shape import Piece, Texture
 
 _SIDE = 8
 """Pixels a side of a place, at most."""

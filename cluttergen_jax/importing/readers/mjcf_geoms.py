@@ -26,8 +26,7 @@ from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.deviation import is_within_parts
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.parts import sound_points
-from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.texture import Texture
+from cluttergen_jax.assets.shape import Piece, Texture
 from cluttergen_jax.errors import AssetError, first_names
 from cluttergen_jax.importing.readers import primitives
 

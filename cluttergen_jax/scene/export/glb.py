@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.assets.shading import linear, shade
-from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.texture import Texture
+from cluttergen_jax.assets.shape import Piece, Texture
 from cluttergen_jax.scene import FixedCamera, Scene
 from cluttergen_jax.scene.export.frames import friction_of
 from cluttergen_jax.scene.export.meshes import drawn_pieces
