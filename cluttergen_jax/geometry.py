@@ -108,6 +108,11 @@ def triangle_areas(triangles: np.ndarray) -> np.ndarray:
     return cross_2d(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
 
 
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """f64[N, D]: vectors at length 1; zero where they are."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-30)[:, None]
+
+
 def across(direction: np.ndarray) -> np.ndarray:
     """f64[3]: a unit vector at right angles to one; zero where that is zero."""
     side = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
@@ -116,9 +121,9 @@ def across(direction: np.ndarray) -> np.ndarray:
 
 def plane_axes(normal: np.ndarray) -> np.ndarray:
     """f64[3, 2]: two axes in which what lies in a plane is seen along its normal, counter-clockwise."""
-    unit = normal / max(float(np.linalg.norm(normal)), 1e-300)
-    side = across(unit)
-    return np.stack([side, np.cross(unit, side)], axis=1)
+    upward = normal / max(float(np.linalg.norm(normal)), 1e-300)
+    side = across(upward)
+    return np.stack([side, np.cross(upward, side)], axis=1)
 
 
 def box_corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -296,7 +296,7 @@ def _prisms_along(
     mesh: Mesh, axis: np.ndarray, size: float
 ) -> tuple[list[np.ndarray], np.ndarray] | None:
     turn = upright_turn(axis)
-    turned = mesh.transform(turn, np.zeros(3))
+    turned = mesh.transform(turn)
     solid = as_manifold(turned)
     heights = _heights(turned, size)
     if len(heights) > _MOST_LAYERS + 1:
@@ -599,7 +599,7 @@ def _others(config: DecompositionConfig) -> list[DecompositionConfig]:
 
 def _run(mesh: Mesh, solid: Solid, config: DecompositionConfig, jitter: float) -> list[np.ndarray]:
     """CoACD's parts of a closed surface of a solid, which may be all of it."""
-    share = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0))) / solid.diagonal
+    share = mesh.diagonal / solid.diagonal
     mesh = simplify_solid(mesh, config.simplify * solid.diagonal)
     if jitter:
         reach = jitter * solid.diagonal

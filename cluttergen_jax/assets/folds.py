@@ -13,7 +13,7 @@ import manifold3d
 import numpy as np
 
 from cluttergen_jax.assets.mesh import UV_DIGITS, Mesh, component_labels, shared_edges, unique_rows
-from cluttergen_jax.geometry import plane_axes, triangle_areas
+from cluttergen_jax.geometry import plane_axes, triangle_areas, unit
 
 _FLAT = 1e-4
 _FLAP = 1e-3
@@ -106,10 +106,10 @@ def _neighbours(mesh: Mesh) -> _Neighbours:
     is_pair = (start[one] == end[two]) & (tip[one] != tip[two])
     one = one[is_pair]
     two = two[is_pair]
-    diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    diagonal = mesh.diagonal
     normals = mesh.directions
     base = mesh.vertices[start[one]]
-    along = _unit(mesh.vertices[end[one]] - base)
+    along = unit(mesh.vertices[end[one]] - base)
     arms = [mesh.vertices[tip[side]] - base for side in (one, two)]
     arms = [arm - (arm * along).sum(1, keepdims=True) * along for arm in arms]
     a = normals[one // 3]
@@ -119,11 +119,6 @@ def _neighbours(mesh: Mesh) -> _Neighbours:
     width = np.minimum(*(np.linalg.norm(arm, axis=1) for arm in arms))
     is_fold = is_flat & ((arms[0] * arms[1]).sum(1) > 0) & (width > _FLAP * diagonal)
     return _Neighbours(np.stack([one, two], 1)[is_flat] // 3, is_fold[is_flat])
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)
 
 
 def _cut_anew(mesh: Mesh, place: np.ndarray) -> np.ndarray | None:

@@ -9,6 +9,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
 
+from cluttergen_jax.geometry import unit
+
+ORIGIN = np.zeros(3)
 UV_DIGITS = 6
 """To which texture coordinates are one."""
 
@@ -41,6 +44,11 @@ class Mesh:
         return np.stack([self.vertices.min(0), self.vertices.max(0)])
 
     @property
+    def diagonal(self) -> float:
+        """Metres across the axis-aligned box."""
+        return float(np.linalg.norm(np.ptp(self.vertices, axis=0)))
+
+    @property
     def corners(self) -> np.ndarray:
         """f64[F, 3, 3]: the three points of each triangle."""
         return self.vertices[self.faces]
@@ -59,7 +67,7 @@ class Mesh:
     @property
     def directions(self) -> np.ndarray:
         """f64[F, 3]: each triangle's normal of length 1; zero where it has no area."""
-        return self.normals / np.maximum(self.areas, 1e-30)[:, None]
+        return unit(self.normals)
 
     @property
     def decimals(self) -> int:
@@ -79,7 +87,7 @@ class Mesh:
         faces = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
         return Mesh(self.vertices, faces)
 
-    def transform(self, rotation: np.ndarray, translation: np.ndarray) -> Mesh:
+    def transform(self, rotation: np.ndarray, translation: np.ndarray = ORIGIN) -> Mesh:
         """The mesh with every vertex v moved to rotation @ v + translation."""
         return Mesh(self.vertices @ np.asarray(rotation).T + np.asarray(translation), self.faces)
 

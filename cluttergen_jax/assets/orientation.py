@@ -15,6 +15,7 @@ from cluttergen_jax.assets.cloud import sample_faces
 from cluttergen_jax.assets.mesh import Mesh, component_labels, shared_edges, unique_rows
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.solid import Solid
+from cluttergen_jax.geometry import unit
 
 _NUM_SAMPLES = 100_000
 # A surface this far from the solid's own, over the diagonal, is hidden inside it.
@@ -196,8 +197,7 @@ def _add_back_sides(piece: Piece, is_sheet: np.ndarray) -> Piece:
     copied, corners = np.unique(sheet, return_inverse=True)
     normals = np.zeros((len(mesh.vertices), 3))
     np.add.at(normals, sheet, (mesh.directions * mesh.areas[:, None])[is_sheet][:, None])
-    normals = normals[copied] / np.maximum(np.linalg.norm(normals[copied], axis=1), 1e-30)[:, None]
-    behind = mesh.vertices[copied] - _THICKNESS * normals
+    behind = mesh.vertices[copied] - _THICKNESS * unit(normals[copied])
     back = len(mesh.vertices) + corners.reshape(-1, 3)[:, ::-1]
     whole = Mesh(np.concatenate([mesh.vertices, behind]), np.concatenate([mesh.faces, back]))
     uv = None if piece.uv is None else np.concatenate([piece.uv, piece.uv[copied]])

@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image
 
 from cluttergen_jax.assets.config import MAX_TEXTURE
-from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.mesh import ORIGIN, Mesh
 from cluttergen_jax.errors import AssetError
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ class Piece:
                 )
             object.__setattr__(self, "uv", uv)
 
-    def transform(self, rotation: np.ndarray, translation: np.ndarray) -> Piece:
+    def transform(self, rotation: np.ndarray, translation: np.ndarray = ORIGIN) -> Piece:
         """The piece with its mesh transformed: see `Mesh.transform`."""
         return replace(self, mesh=self.mesh.transform(rotation, translation))
 
@@ -324,14 +324,13 @@ class Shape:
 
     def rotate(self, rotation: np.ndarray) -> Shape:
         """The shape with every point p at rotation @ p."""
-        still = np.zeros(3)
         cavity = self.cavity
         if cavity is not None:
             x, y, z = (rotation @ cavity.mouth).tolist()
-            cavity = Cavity(cavity.solid.transform(rotation, still), (x, y, z))
+            cavity = Cavity(cavity.solid.transform(rotation), (x, y, z))
         return replace(
             self,
-            pieces=tuple(piece.transform(rotation, still) for piece in self.pieces),
+            pieces=tuple(piece.transform(rotation) for piece in self.pieces),
             parts=None if self.parts is None else rotate_meshes(self.parts, rotation),
             cavity=cavity,
             stated=None if self.stated is None else self.stated.convert(rotation, 1.0),
@@ -341,4 +340,4 @@ class Shape:
 
 def rotate_meshes(meshes: tuple[Mesh, ...], rotation: np.ndarray) -> tuple[Mesh, ...]:
     """Meshes with every point p at rotation @ p."""
-    return tuple(mesh.transform(rotation, np.zeros(3)) for mesh in meshes)
+    return tuple(mesh.transform(rotation) for mesh in meshes)

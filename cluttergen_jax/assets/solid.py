@@ -54,7 +54,7 @@ class Solid:
     def rotate(self, rotation: np.ndarray) -> Solid:
         """The solid with every point p at rotation @ p."""
         meshes = (self.mesh, self.surface, *self.components)
-        mesh, surface, *components = (each.transform(rotation, np.zeros(3)) for each in meshes)
+        mesh, surface, *components = (each.transform(rotation) for each in meshes)
         return Solid(mesh, self.is_exact, surface, tuple(components))
 
     @cached_property
@@ -65,7 +65,7 @@ class Solid:
     @cached_property
     def diagonal(self) -> float:
         """Metres across the bounding box of what was given."""
-        return float(np.linalg.norm(np.ptp(self.surface.vertices, axis=0)))
+        return self.surface.diagonal
 
 
 def solid_of(meshes: Sequence[Mesh]) -> Solid:

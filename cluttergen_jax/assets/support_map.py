@@ -268,9 +268,7 @@ def _span(
     lower = origin + cell * first
     upper = origin + cell * last
     over = look_down(mesh, lower, upper, last - first).height
-    under = -look_down(
-        mesh.transform(np.diag([1.0, 1.0, -1.0]), np.zeros(3)), lower, upper, last - first
-    ).height
+    under = -look_down(mesh.transform(np.diag([1.0, 1.0, -1.0])), lower, upper, last - first).height
     return (slice(first[0], last[0]), slice(first[1], last[1])), under, over
 
 

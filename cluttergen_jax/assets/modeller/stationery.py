@@ -352,9 +352,7 @@ def scissors(vary: Draw) -> Shape:
     inner = 1 - bar / loop[0]
     section = [(1.10, 0), (1.10, thick), (inner, thick), (inner, 0)]
     stretch = np.diag([*loop, 1.0])
-    cells = [
-        cell.transform(stretch, np.zeros(3)) for cell in part.ring_sectors(section, 4, np.pi / 4)
-    ]
+    cells = [cell.transform(stretch) for cell in part.ring_sectors(section, 4, np.pi / 4)]
     grips = []
     blades = []
     parts = []
