@@ -237,7 +237,11 @@ def _record(asset: ObjectAsset, contents: dict[str, bytes]) -> dict[str, Any]:
         flags=asset.flags,
         files={name: digest_of(data) for name, data in contents.items()},
     )
-    return {**msgspec.to_builtins(stored), "provenance": asset.provenance.record()}
+    record = {**msgspec.to_builtins(stored), "provenance": asset.provenance.record()}
+    if asset.scale == 1:
+        # msgspec leaves out a default of this class itself, not any number equal to it.
+        record.pop("scale", None)
+    return record
 
 
 def _asset(stored: _Stored, blobs: dict[str, bytes]) -> ObjectAsset:
