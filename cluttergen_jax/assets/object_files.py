@@ -214,6 +214,10 @@ class _Stored(msgspec.Struct, kw_only=True, omit_defaults=True):
     files: dict[Annotated[str, msgspec.Meta(pattern=f"^{_FILE.pattern}$")], str]
 
 
+def _floats(values: Iterable[Any]) -> Any:
+    return tuple(map(float, values))
+
+
 def _record(asset: ObjectAsset, contents: dict[str, bytes]) -> dict[str, Any]:
     images = [None if piece.texture is None else piece.texture.file_name for piece in asset.pieces]
     stored = _Stored(
@@ -228,9 +232,9 @@ def _record(asset: ObjectAsset, contents: dict[str, bytes]) -> dict[str, Any]:
         tier=asset.tier,
         mass=float(asset.mass),
         center_of_mass=_round(asset.center_of_mass, 7),
-        inertia=[tuple(float(f"{value:.6e}") for value in row) for row in asset.inertia],
+        inertia=[_floats(f"{value:.6e}" for value in row) for row in asset.inertia],
         parts=[_round(part.vertices, 7) for part in asset.parts],
-        rgba=[tuple(map(float, piece.rgba)) for piece in asset.pieces],
+        rgba=[_floats(piece.rgba) for piece in asset.pieces],
         resting=list(asset.resting),
         provenance=asset.provenance,
         quality=asset.quality,

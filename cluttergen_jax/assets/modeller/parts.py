@@ -78,7 +78,7 @@ def disc(
         A simulator keeps four contacts between two faces. Where a face has more corners its choice may change
         from step to step, and something tall and light then trembles without end.
     """
-    rings = []
+    rings: list[np.ndarray] = []
     if is_standing:
         (radius, low), *others = profile
         rings = [_ring(radius, low, 4, phase)]
