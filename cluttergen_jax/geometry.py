@@ -108,6 +108,11 @@ def triangle_areas(triangles: np.ndarray) -> np.ndarray:
     return cross_2d(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
 
 
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """f64[N, D]: vectors at length 1; zero where they are."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-30)[:, None]
+
+
 def across(direction: np.ndarray) -> np.ndarray:
     """f64[3]: a unit vector at right angles to one; zero where that is zero."""
     side = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
@@ -116,9 +121,9 @@ def across(direction: np.ndarray) -> np.ndarray:
 
 def plane_axes(normal: np.ndarray) -> np.ndarray:
     """f64[3, 2]: two axes in which what lies in a plane is seen along its normal, counter-clockwise."""
-    unit = normal / max(float(np.linalg.norm(normal)), 1e-300)
-    side = across(unit)
-    return np.stack([side, np.cross(unit, side)], axis=1)
+    upward = normal / max(float(np.linalg.norm(normal)), 1e-300)
+    side = across(upward)
+    return np.stack([side, np.cross(upward, side)], axis=1)
 
 
 def box_corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -131,6 +136,12 @@ def cell_centers(lower: np.ndarray, cell: ArrayLike, shape: ArrayLike) -> np.nda
     sides = np.broadcast_to(cell, 2)
     axes = [lower[k] + sides[k] * (np.arange(np.asarray(shape)[k]) + 0.5) for k in (0, 1)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+
+
+def at_height(points: ArrayLike, height: float) -> np.ndarray:
+    """f64[N, 3]: points f64[N, 2] of the plane, all at one height."""
+    flat = np.asarray(points, np.float64)
+    return np.column_stack([flat, np.full(len(flat), height)])
 
 
 def rotate_in_plane(points: ArrayLike, yaw: float) -> np.ndarray:

@@ -9,20 +9,18 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from functools import wraps
 from importlib.metadata import version
 from numbers import Integral
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from cluttergen_jax.files import cache_home
 
 if TYPE_CHECKING:
     from cluttergen_jax.types import Array
 
-P = ParamSpec("P")
 T = TypeVar("T")
 
 OF_THIS_PACKAGE = {"JAX_ENABLE_X64": "0", "JAX_THREEFRY_PARTITIONABLE": "1"}
@@ -78,15 +76,8 @@ def own_settings() -> Iterator[None]:
         yield
 
 
-def with_own_settings(function: Callable[P, T]) -> Callable[P, T]:
-    """A decorator: the function runs, or is traced, within `own_settings`."""
-
-    @wraps(function)
-    def run(*args: P.args, **kwargs: P.kwargs) -> T:
-        with own_settings():
-            return function(*args, **kwargs)
-
-    return run
+with_own_settings = own_settings()
+"""A decorator: the function runs, or is traced, within `own_settings`."""
 
 
 def program_folder() -> Path:
@@ -148,15 +139,14 @@ def compiler_options() -> dict[str, Any] | None:
     return {_LEVEL: 2}
 
 
-def with_kept_programs(function: Callable[P, T]) -> Callable[P, T]:
-    """A decorator for functions that compile and run by themselves: `own_settings` and `kept_programs`."""
+@contextmanager
+def _kept_and_own() -> Iterator[None]:
+    with own_settings(), kept_programs():
+        yield
 
-    @wraps(function)
-    def run(*args: P.args, **kwargs: P.kwargs) -> T:
-        with own_settings(), kept_programs():
-            return function(*args, **kwargs)
 
-    return run
+with_kept_programs = _kept_and_own()
+"""A decorator for functions that compile and run by themselves: `own_settings` and `kept_programs`."""
 
 
 @contextmanager

@@ -49,9 +49,8 @@ from cluttergen_jax.placement.relations import conditions_of, parse_relations, p
 
 # What reads assets is imported where it is needed: this module is all that a command's `--help` loads.
 if TYPE_CHECKING:
-    from cluttergen_jax.assets.outline import Ring
     from cluttergen_jax.assets.pool import Pool
-    from cluttergen_jax.assets.support import Rectangle
+    from cluttergen_jax.assets.support import Rectangle, Ring
     from cluttergen_jax.placement.problem import ProblemConfig
     from cluttergen_jax.placement.rules import Proposer, Rules
 

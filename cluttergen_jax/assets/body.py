@@ -139,7 +139,7 @@ def object_variants(shape: Shape, config: BodyConfig | None = None) -> Iterator[
         if rotation is not None:
             shape = shape.rotate(rotation)
             solid = solid.rotate(rotation)
-            mass = mass.transform(rotation, np.zeros(3))
+            mass = mass.transform(rotation)
     best: _Candidate | None = None
     first: _Candidate | None = None
     for raw in _proposals(shape, solid, config):
@@ -171,12 +171,10 @@ def turned_variants(asset: ObjectAsset, rotation: np.ndarray) -> Iterator[Object
       AssetError: it does not stand so.
     """
     config = BodyConfig(tier=asset.tier)
-    still = np.zeros(3)
     shape = Shape(asset.name, asset.label, asset.pieces, asset.provenance).rotate(rotation)
     solid = solid_of([piece.mesh for piece in shape.pieces])
-    mass = MassProperties(asset.mass, asset.center_of_mass, asset.inertia).transform(
-        rotation, still
-    )
+    own_mass = MassProperties(asset.mass, asset.center_of_mass, asset.inertia)
+    mass = own_mass.transform(rotation)
     raw = [part.vertices @ rotation.T for part in asset.parts]
     flags = tuple(flag for flag in asset.flags if not flag.startswith(_OF_POSE))
     loose = replace(asset, pieces=shape.pieces, cloud=asset.cloud @ rotation.T, flags=flags)
@@ -228,7 +226,7 @@ def _usual_turn(
 def _stays(solid: Solid, mass: MassProperties, turn: np.ndarray) -> bool:
     """Whether the object's hull stays in plain MuJoCo as it is set down after a turn, to `MAX_TILT`."""
     hull = finish_parts([solid.mesh.vertices @ turn.T], MAX_BASE_CORNERS)
-    return tilt_of(settled_turn(_draft(hull, mass.transform(turn, np.zeros(3))))) <= MAX_TILT
+    return tilt_of(_settled(hull, mass.transform(turn))) <= MAX_TILT
 
 
 def _proposals(shape: Shape, solid: Solid, config: BodyConfig) -> Iterator[list[np.ndarray]]:
@@ -258,7 +256,7 @@ def _candidate(
     parts, rotation = _at_rest(raw, mass, corners, _FOOT_LOSS if shape.is_from_file else np.inf)
     turned = solid.rotate(rotation)
     if shape.cavity is not None:
-        hollow: HollowSpace | None = known_hollow(shape.cavity).transform(rotation, np.zeros(3))
+        hollow: HollowSpace | None = known_hollow(shape.cavity).rotate(rotation)
     elif shape.parts is not None and not shape.is_from_file:
         # A modelled object without a cavity has none.
         hollow = None
@@ -284,19 +282,27 @@ def _at_rest(
     The bottom is made flat in the pose found without flattening, so that a leaning object is not cut
     to its lean; only if it topples is the bottom of the authored pose tried.
     """
-    rotation = settled_turn(_draft(finish_parts(raw, None), mass))
+
+    def finished(rotation: np.ndarray) -> list[np.ndarray]:
+        turned = [points @ rotation.T for points in raw]
+        return finish_parts(turned, corners, foot_loss=foot_loss)
+
+    rotation = _settled(finish_parts(raw, None), mass)
     if tilt_of(rotation) > MAX_TILT:
-        kept = settled_turn(_draft(finish_parts(raw, corners, foot_loss=foot_loss), mass))
+        kept = _settled(finish_parts(raw, corners, foot_loss=foot_loss), mass)
         rotation = kept if tilt_of(kept) < tilt_of(rotation) else rotation
     for _ in range(4):
-        parts = finish_parts([points @ rotation.T for points in raw], corners, foot_loss=foot_loss)
-        more = settled_turn(_draft(parts, mass.transform(rotation, np.zeros(3))))
+        parts = finished(rotation)
+        more = _settled(parts, mass.transform(rotation))
         if tilt_of(more) < _FLAT:
             return parts, rotation
         rotation = more @ rotation
-    return finish_parts(
-        [points @ rotation.T for points in raw], corners, foot_loss=foot_loss
-    ), rotation
+    return finished(rotation), rotation
+
+
+def _settled(parts: list[np.ndarray], mass: MassProperties) -> np.ndarray:
+    """f64[3, 3]: the turn by which a body of these parts tilts when it is set down."""
+    return settled_turn(_draft(parts, mass))
 
 
 def _draft(parts: list[np.ndarray], mass: MassProperties) -> ObjectAsset:

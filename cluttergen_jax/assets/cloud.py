@@ -12,9 +12,8 @@ from scipy.spatial import cKDTree
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset
 from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.solid import Solid
+from cluttergen_jax.assets.solid import Solid, Voxels
 from cluttergen_jax.assets.support import PART_RGBA, SupportAsset
-from cluttergen_jax.assets.voxels import Voxels
 from cluttergen_jax.geometry import rotate_in_plane, transform_points
 
 
@@ -194,10 +193,7 @@ def top_points(support: SupportAsset) -> np.ndarray:
     counts = np.maximum(np.round(2 * half * np.sqrt(_PER_SQUARE_METRE)), 2).astype(int)
     x, y = (np.linspace(-h, h, n) for h, n in zip(half, counts, strict=True))
     flat = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
-    flat = rotate_in_plane(flat, region.yaw) + region.center
-    if support.named and not support.chosen.is_level:
-        return transform_points(support.chosen.pose, np.column_stack([flat, np.zeros(len(flat))]))
-    return np.column_stack([flat, np.full(len(flat), support.top)])
+    return support.on_top(rotate_in_plane(flat, region.yaw) + region.center)
 
 
 def ply_of(cloud: Cloud) -> bytes:

@@ -15,27 +15,12 @@ from cluttergen_jax.assets.cloud import sample_exposed, sample_solid
 from cluttergen_jax.assets.config import ALARM_FACTOR
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.parts import heights_over, hull_of, sound_points
-from cluttergen_jax.assets.solid import Solid
-from cluttergen_jax.assets.voxels import Voxels
+from cluttergen_jax.assets.solid import Solid, Voxels
 
 NUM_SAMPLES = 10_000
 _DENSITY = 20
 # Cells along the longest side: gaps of up to two of them, 1.4 % of it, count as closed.
 _FINE = 144
-
-
-def sample_parts(parts: Sequence[np.ndarray], count: int, seed: int) -> np.ndarray:
-    """f64[<= count, 3]: points of the parts' surface that can be seen from outside.
-
-    Faces along which parts touch, or nearly so, are no surface of the object: nothing can get there.
-    """
-    return sample_exposed(surface_of(parts), count, seed, is_convex=len(parts) == 1)
-
-
-def surface_of(parts: Sequence[np.ndarray]) -> Mesh:
-    """The triangles of all parts' hulls as one mesh, overlaps and all."""
-    hulls = [hull for hull in map(hull_of, parts) if hull is not None]
-    return join_meshes([Mesh(hull.points, hull.simplices) for hull in hulls])
 
 
 def is_within_parts(points: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarray:
@@ -55,11 +40,14 @@ def deviation(parts: Sequence[np.ndarray], solid: Solid, seed: int = 0) -> float
     """Symmetric Hausdorff distance between parts and mesh, 10,000 samples each way, over the diagonal.
 
     Each sample's distance is taken to the nearest of 200,000 points of the other surface, which can only
-    make it larger than it is. Faces along which pieces touch, such as a box and its lid, are no surface.
+    make it larger than it is. Faces along which pieces or parts touch, or nearly so, are no surface: nothing
+    can get there.
     """
     dense = NUM_SAMPLES * _DENSITY
     on_solid = sample_solid(solid, dense, seed)
-    on_parts = sample_parts(parts, dense, seed + 1000)
+    hulls = [hull for hull in map(hull_of, parts) if hull is not None]
+    surface = join_meshes([Mesh(hull.points, hull.simplices) for hull in hulls])
+    on_parts = sample_exposed(surface, dense, seed + 1000, is_convex=len(parts) == 1)
     some = on_solid[:NUM_SAMPLES]
     there = _farthest(some, on_parts)
     back = _farthest(on_parts[:NUM_SAMPLES], on_solid)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import manifold3d
 import numpy as np
 
-from cluttergen_jax.assets.mesh import Mesh, component_labels, shared_edges
-from cluttergen_jax.geometry import plane_axes, triangle_areas
+from cluttergen_jax.assets.mesh import UV_DIGITS, Mesh, component_labels, shared_edges, unique_rows
+from cluttergen_jax.geometry import plane_axes, triangle_areas, unit
 
 _FLAT = 1e-4
 _FLAP = 1e-3
@@ -30,11 +30,6 @@ class _Neighbours:
 
     pairs: np.ndarray  # i64[N, 2], triangles.
     is_fold: np.ndarray  # bool[N], where one lies over the other; else beside it.
-
-
-def num_folds(mesh: Mesh) -> int:
-    """At how many edges a surface turns back flat over itself; its vertices are welded."""
-    return int(_neighbours(mesh).is_fold.sum()) if len(mesh.faces) else 0
 
 
 def without_folds(mesh: Mesh, uv: np.ndarray | None = None) -> Mesh:
@@ -97,11 +92,8 @@ def _places(near: _Neighbours, number: int) -> Iterator[np.ndarray]:
 
 def _weld(mesh: Mesh, uv: np.ndarray | None) -> tuple[Mesh, np.ndarray]:
     """The mesh with vertices of equal place and texture coordinates as one, and i64[V], which one."""
-    columns = [np.round(mesh.vertices, mesh.decimals), *([] if uv is None else [np.round(uv, 6)])]
-    _, first, label = np.unique(
-        np.concatenate(columns, 1), axis=0, return_index=True, return_inverse=True
-    )
-    label = label.reshape(-1)
+    places = np.round(mesh.vertices, mesh.decimals)
+    first, label = unique_rows(places, *([] if uv is None else [np.round(uv, UV_DIGITS)]))
     return Mesh(mesh.vertices[first], label[mesh.faces]), label
 
 
@@ -114,10 +106,10 @@ def _neighbours(mesh: Mesh) -> _Neighbours:
     is_pair = (start[one] == end[two]) & (tip[one] != tip[two])
     one = one[is_pair]
     two = two[is_pair]
-    diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    normals = _unit(mesh.normals)
+    diagonal = mesh.diagonal
+    normals = mesh.directions
     base = mesh.vertices[start[one]]
-    along = _unit(mesh.vertices[end[one]] - base)
+    along = unit(mesh.vertices[end[one]] - base)
     arms = [mesh.vertices[tip[side]] - base for side in (one, two)]
     arms = [arm - (arm * along).sum(1, keepdims=True) * along for arm in arms]
     a = normals[one // 3]
@@ -127,11 +119,6 @@ def _neighbours(mesh: Mesh) -> _Neighbours:
     width = np.minimum(*(np.linalg.norm(arm, axis=1) for arm in arms))
     is_fold = is_flat & ((arms[0] * arms[1]).sum(1) > 0) & (width > _FLAP * diagonal)
     return _Neighbours(np.stack([one, two], 1)[is_flat] // 3, is_fold[is_flat])
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)
 
 
 def _cut_anew(mesh: Mesh, place: np.ndarray) -> np.ndarray | None:

@@ -16,8 +16,7 @@ from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.assets.mjcf import add_part, new_spec
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shape import Cavity
-from cluttergen_jax.assets.solid import Solid
-from cluttergen_jax.assets.voxels import Voxels
+from cluttergen_jax.assets.solid import Solid, Voxels
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 
 BALL_RADIUS = 0.005
@@ -36,11 +35,9 @@ class HollowSpace:
     pitch: float  # The grid's step, metres.
     mouth: np.ndarray  # f64[3], in the opening's plane, where a ball can be dropped in.
 
-    def transform(self, rotation: np.ndarray, translation: np.ndarray) -> HollowSpace:
-        """The same cavity with every point p at rotation @ p + translation."""
-        return HollowSpace(
-            self.points @ rotation.T + translation, self.pitch, rotation @ self.mouth + translation
-        )
+    def rotate(self, rotation: np.ndarray) -> HollowSpace:
+        """The same cavity with every point p at rotation @ p."""
+        return HollowSpace(self.points @ rotation.T, self.pitch, rotation @ self.mouth)
 
     def fill(self, parts: Sequence[np.ndarray]) -> float:
         """The share of the cavity that convex parts cover."""

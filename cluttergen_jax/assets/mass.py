@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.mesh import ORIGIN, Mesh
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.errors import AssetError
 
@@ -20,7 +20,7 @@ class MassProperties:
     center: np.ndarray  # f64[3], metres.
     inertia: np.ndarray  # f64[3, 3], kg m^2, about the centre, along the mesh's axes.
 
-    def transform(self, rotation: np.ndarray, translation: np.ndarray) -> MassProperties:
+    def transform(self, rotation: np.ndarray, translation: np.ndarray = ORIGIN) -> MassProperties:
         """The same body with every point p moved to rotation @ p + translation."""
         return MassProperties(
             self.mass, rotation @ self.center + translation, rotation @ self.inertia @ rotation.T
@@ -95,7 +95,7 @@ class StatedMass:
             self.body.center * lengths,
             self.body.inertia * (mass * lengths**2),
         )
-        return replace(self, body=body.transform(turn, np.zeros(3)))
+        return replace(self, body=body.transform(turn))
 
 
 def combine_masses(bodies: Sequence[MassProperties]) -> StatedMass | None:
@@ -210,7 +210,7 @@ def _why_no_inertia(stated: StatedMass, solid: Mesh, even: MassProperties) -> st
     if stated.is_even and expected[2] > _ROUND * expected[0]:
         return "it is the same about every axis, though the object is not round"
     hull = hull_of(solid.vertices)
-    reach = 0.01 * float(np.linalg.norm(np.ptp(solid.vertices, axis=0)))
+    reach = 0.01 * solid.diagonal
     if hull is not None and (hull.equations @ np.append(stated.body.center, 1.0)).max() > reach:
         return "its centre of mass lies outside the object"
     return ""

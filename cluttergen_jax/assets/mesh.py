@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
+
+from cluttergen_jax.geometry import unit
+
+ORIGIN = np.zeros(3)
+UV_DIGITS = 6
+"""To which texture coordinates are one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,16 +38,15 @@ class Mesh:
         """The convex part spanned by `vertices`, f64[V, 3]."""
         return Mesh(vertices, np.zeros((0, 3), np.int32))
 
-    @staticmethod
-    def convex_parts(sets: Sequence[Sequence[Sequence[float]]]) -> tuple[Mesh, ...]:
-        """The convex part spanned by each of several sets of vertices."""
-        none = np.zeros((0, 3), np.int32)
-        return tuple([Mesh(np.array(vertices, np.float64), none) for vertices in sets])
-
     @property
     def bounds(self) -> np.ndarray:
         """f64[2, 3]: the lower and the upper corner of the axis-aligned box."""
         return np.stack([self.vertices.min(0), self.vertices.max(0)])
+
+    @property
+    def diagonal(self) -> float:
+        """Metres across the axis-aligned box."""
+        return float(np.linalg.norm(np.ptp(self.vertices, axis=0)))
 
     @property
     def corners(self) -> np.ndarray:
@@ -59,6 +63,11 @@ class Mesh:
     def areas(self) -> np.ndarray:
         """f64[F]: twice each triangle's area."""
         return np.linalg.norm(self.normals, axis=1)
+
+    @property
+    def directions(self) -> np.ndarray:
+        """f64[F, 3]: each triangle's normal of length 1; zero where it has no area."""
+        return unit(self.normals)
 
     @property
     def decimals(self) -> int:
@@ -78,7 +87,7 @@ class Mesh:
         faces = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
         return Mesh(self.vertices, faces)
 
-    def transform(self, rotation: np.ndarray, translation: np.ndarray) -> Mesh:
+    def transform(self, rotation: np.ndarray, translation: np.ndarray = ORIGIN) -> Mesh:
         """The mesh with every vertex v moved to rotation @ v + translation."""
         return Mesh(self.vertices @ np.asarray(rotation).T + np.asarray(translation), self.faces)
 
@@ -98,26 +107,47 @@ def clean_mesh(mesh: Mesh, is_closed: bool = False) -> Mesh:
     Slivers stay: to drop one would open a closed surface. Of coinciding triangles one stays; of a surface
     that should be closed, a triangle and its reverse cancel out.
     """
-    if not len(mesh.faces):
-        return mesh
-    _, first, inverse = np.unique(
-        np.round(mesh.vertices, mesh.decimals), axis=0, return_index=True, return_inverse=True
-    )
-    faces = inverse.reshape(-1)[mesh.faces]
-    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(1)]
-    if not len(faces):
-        return Mesh(np.zeros((0, 3)), faces)
-    corners = np.sort(faces, axis=1)
-    turn = np.sign(_parity(faces))
-    _, which = np.unique(corners, axis=0, return_inverse=True)
-    which = which.reshape(-1)
+    return weld(mesh, is_closed=is_closed)[0] if len(mesh.faces) else mesh
+
+
+def weld(
+    mesh: Mesh, uv: np.ndarray | None = None, is_closed: bool = False
+) -> tuple[Mesh, np.ndarray]:
+    """A mesh as `clean_mesh` leaves it, and i64[V], which vertex each of its vertices was.
+
+    Args:
+      uv: f[V, 2]: vertices of one place with other texture coordinates stay apart.
+    """
+    first, place = unique_rows(np.round(mesh.vertices, mesh.decimals))
+    corners = place[mesh.faces]
+    faces = corners
+    if uv is not None:
+        first, own = unique_rows(place, np.round(uv, UV_DIGITS))
+        faces = own[mesh.faces]
+    is_sound = (corners != np.roll(corners, 1, axis=1)).all(1)
+    faces = faces[is_sound]
+    corners = corners[is_sound]
+    _, which = unique_rows(np.sort(corners, axis=1))
     if is_closed:
-        balance = np.bincount(which, turn)[which] * turn
-        which = which[balance > 0]
-        faces = faces[balance > 0]
+        turn = np.sign(_parity(corners))
+        stays = np.bincount(which, turn)[which] * turn > 0
+        which = which[stays]
+        faces = faces[stays]
     faces = faces[np.sort(np.unique(which, return_index=True)[1])]
     used, faces = np.unique(faces, return_inverse=True)
-    return Mesh(mesh.vertices[first][used], faces.reshape(-1, 3))
+    kept = first[used]
+    return Mesh(mesh.vertices[kept], faces.reshape(-1, 3)), kept
+
+
+def unique_rows(*columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of the rows of columns side by side each once, in order.
+
+    Returns:
+      i64[U], where each comes first; i64[N], which of them each row is.
+    """
+    rows = np.column_stack(columns)
+    _, first, index = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    return first, index.reshape(-1)
 
 
 def component_labels(pairs: np.ndarray, count: int) -> np.ndarray:

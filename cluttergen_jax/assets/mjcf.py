@@ -9,9 +9,8 @@ import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shading import shade
-from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.shape import Piece, Texture
 from cluttergen_jax.assets.support import PART_RGBA, SupportAsset
-from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.config import AIR_WALLS, ContactConfig, StabilityConfig
 from cluttergen_jax.geometry import yaw_quaternion
 

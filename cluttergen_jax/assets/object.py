@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.shape import Piece, Provenance
-from cluttergen_jax.assets.texture import Texture
+from cluttergen_jax.assets.shape import Piece, Provenance, Texture
 
 CLOUD_SIZE = 1024
 

@@ -13,13 +13,11 @@ named.
 
 from __future__ import annotations
 
-import hashlib
 import io
 import json
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 from weakref import WeakKeyDictionary
@@ -31,8 +29,7 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.mjcf import object_xml
 from cluttergen_jax.assets.obj import parse_surface, surface_text
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, RestingPose
-from cluttergen_jax.assets.shape import Piece, Provenance
-from cluttergen_jax.assets.texture import Texture
+from cluttergen_jax.assets.shape import Piece, Provenance, Texture
 from cluttergen_jax.errors import AssetError, PoolError
 from cluttergen_jax.files import inside, read_inside, read_regular, write_atomically
 from cluttergen_jax.schema import (
@@ -40,6 +37,7 @@ from cluttergen_jax.schema import (
     SchemaError,
     check_numbers,
     convert,
+    digest_of,
     parse_json,
     refuse_control_characters,
 )
@@ -72,7 +70,7 @@ def object_files(asset: ObjectAsset, images: str = "") -> dict[str, bytes]:
         raise AssetError(f"an object called {asset.name!r}", "names of a-z, 0-9, '_' and '-'")
     files = _surfaces(asset)
     record = _record(asset, files)
-    record["hash"] = _digest(_canonical(record))
+    record["hash"] = digest_of(_canonical(record))
     files[_RECORD] = (json.dumps(record, separators=(",", ":")) + "\n").encode()
     if asset.provenance.attribution:
         files["ATTRIBUTION.txt"] = (asset.provenance.attribution + "\n").encode()
@@ -85,7 +83,7 @@ def object_files(asset: ObjectAsset, images: str = "") -> dict[str, bytes]:
 def object_hash(asset: ObjectAsset) -> str:
     """Hex digest of everything that `write_object` would store."""
     if asset not in _HASHES:
-        _HASHES[asset] = _digest(_canonical(_record(asset, _surfaces(asset))))
+        _HASHES[asset] = digest_of(_canonical(_record(asset, _surfaces(asset))))
     return _HASHES[asset]
 
 
@@ -160,7 +158,7 @@ def read_object(folder: Path, images: Path | None = None) -> ObjectAsset:
             blobs[name] = read_inside(where, name)
         except OSError as error:
             raise _unreadable(where / name, error) from error
-        if hashlib.sha256(blobs[name]).hexdigest() != digest:
+        if digest_of(blobs[name]) != digest:
             raise PoolError(f"{where / name} does not match its digest in {_RECORD}", hint=_REWRITE)
     try:
         return _asset(stored, blobs)
@@ -173,10 +171,6 @@ def read_object(folder: Path, images: Path | None = None) -> ObjectAsset:
 _REWRITE = "importing or building the pool again"
 
 
-def _digest(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
-
-
 def _canonical(record: Mapping[str, Any]) -> bytes:
     return json.dumps(record, sort_keys=True, separators=(",", ":")).encode()
 
@@ -186,50 +180,25 @@ def _round(values: np.ndarray, digits: int) -> Any:
     return (np.round(np.asarray(values, np.float64), digits) + 0.0).tolist()
 
 
-def _record(asset: ObjectAsset, contents: dict[str, bytes]) -> dict[str, Any]:
-    files = [None if piece.texture is None else piece.texture.file_name for piece in asset.pieces]
-    # Absent where an object has none, so that objects keep the digest that they had before there were any.
-    textures = {"textures": files} if any(files) else {}
-    friction = {} if asset.friction is None else {"friction": float(asset.friction)}
-    scale = {} if asset.scale == 1 else {"scale": float(asset.scale)}
-    notes = {"notes": list(asset.notes)} if asset.notes else {}
-    synset = {"synset": asset.synset} if asset.synset else {}
-    return (
-        friction
-        | scale
-        | notes
-        | synset
-        | textures
-        | {
-            "format": FORMAT,
-            "name": asset.name,
-            "label": asset.label,
-            "tier": asset.tier,
-            "mass": float(asset.mass),
-            "center_of_mass": _round(asset.center_of_mass, 7),
-            "inertia": [
-                [float(f"{value:.6e}") for value in row] for row in np.asarray(asset.inertia)
-            ],
-            "parts": [_round(part.vertices, 7) for part in asset.parts],
-            "rgba": [list(map(float, piece.rgba)) for piece in asset.pieces],
-            "resting": [asdict(pose) for pose in asset.resting],
-            "provenance": asset.provenance.record(),
-            "quality": asdict(asset.quality),
-            "flags": list(asset.flags),
-            "files": {name: _digest(data) for name, data in contents.items()},
-        }
-    )
-
-
 _Positive = Annotated[float, msgspec.Meta(gt=0, le=1e9)]
 _Length = Annotated[float, msgspec.Meta(ge=-1000, le=1000)]
 """Metres."""
 _Point = tuple[_Length, _Length, _Length]
 
 
-class _Stored(msgspec.Struct):
-    """What `object.json` holds."""
+class _Stored(msgspec.Struct, kw_only=True, omit_defaults=True):
+    """What `object.json` holds, in this order.
 
+    What has a default is absent where it is that: objects keep the digest that they had before there was such
+    a thing.
+    """
+
+    friction: _Positive | None = None
+    scale: _Positive = 1.0
+    notes: tuple[str, ...] = ()
+    synset: str = ""
+    textures: list[str | None] | None = None
+    format: int
     name: str
     label: str
     tier: str
@@ -243,11 +212,40 @@ class _Stored(msgspec.Struct):
     quality: Quality
     flags: tuple[str, ...]
     files: dict[Annotated[str, msgspec.Meta(pattern=f"^{_FILE.pattern}$")], str]
-    textures: list[str | None] | None = None
-    notes: tuple[str, ...] = ()
-    synset: str = ""
-    friction: _Positive | None = None
-    scale: _Positive = 1.0
+
+
+def _floats(values: Iterable[Any]) -> Any:
+    return tuple(map(float, values))
+
+
+def _record(asset: ObjectAsset, contents: dict[str, bytes]) -> dict[str, Any]:
+    images = [None if piece.texture is None else piece.texture.file_name for piece in asset.pieces]
+    stored = _Stored(
+        friction=None if asset.friction is None else float(asset.friction),
+        scale=float(asset.scale),
+        notes=asset.notes,
+        synset=asset.synset,
+        textures=images if any(images) else None,
+        format=FORMAT,
+        name=asset.name,
+        label=asset.label,
+        tier=asset.tier,
+        mass=float(asset.mass),
+        center_of_mass=_round(asset.center_of_mass, 7),
+        inertia=[_floats(f"{value:.6e}" for value in row) for row in asset.inertia],
+        parts=[_round(part.vertices, 7) for part in asset.parts],
+        rgba=[_floats(piece.rgba) for piece in asset.pieces],
+        resting=list(asset.resting),
+        provenance=asset.provenance,
+        quality=asset.quality,
+        flags=asset.flags,
+        files={name: digest_of(data) for name, data in contents.items()},
+    )
+    record = {**msgspec.to_builtins(stored), "provenance": asset.provenance.record()}
+    if asset.scale == 1:
+        # msgspec leaves out a default of this class itself, not any number equal to it.
+        record.pop("scale", None)
+    return record
 
 
 def _asset(stored: _Stored, blobs: dict[str, bytes]) -> ObjectAsset:
@@ -268,7 +266,7 @@ def _asset(stored: _Stored, blobs: dict[str, bytes]) -> ObjectAsset:
         name=stored.name,
         label=stored.label,
         pieces=tuple(pieces),
-        parts=Mesh.convex_parts(stored.parts),
+        parts=tuple(Mesh.points(np.array(part)) for part in stored.parts),
         mass=stored.mass,
         center_of_mass=np.array(stored.center_of_mass, np.float64),
         inertia=np.array(stored.inertia, np.float64).reshape(3, 3),
@@ -306,7 +304,7 @@ def _read_record(path: Path) -> dict[str, Any]:
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise PoolError(f"{path} is not an object of format {FORMAT}", hint=_REWRITE)
     digest = record.pop("hash", None)
-    if digest != _digest(_canonical(record)):
+    if digest != digest_of(_canonical(record)):
         raise PoolError(f"{path} does not match its own digest", hint=_REWRITE)
     return record
 

@@ -12,9 +12,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.cloud import sample_faces
-from cluttergen_jax.assets.mesh import Mesh, component_labels, shared_edges
+from cluttergen_jax.assets.mesh import Mesh, component_labels, shared_edges, unique_rows
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.solid import Solid
+from cluttergen_jax.geometry import unit
 
 _NUM_SAMPLES = 100_000
 # A surface this far from the solid's own, over the diagonal, is hidden inside it.
@@ -43,15 +44,14 @@ class Skin:
     def of(solid: Solid) -> Skin:
         """The skin of a solid, to 1 mm or so on an object of 30 cm."""
         points, faces, _ = sample_faces(solid.mesh, _NUM_SAMPLES, 0)
-        normals = _directions(solid.mesh)[0][faces]
+        normals = solid.mesh.directions[faces]
         return Skin(cKDTree(points), normals, _NEAR * solid.diagonal, solid.is_exact)
 
     def agreement(self, mesh: Mesh) -> np.ndarray:
         """f64[F]: for each triangle, 1 if it faces as the solid does, -1 if it faces inwards, 0 if hidden."""
-        directions, _ = _directions(mesh)
         spots = np.einsum("sk,fkd->fsd", _SPOTS, mesh.corners)
         distance, nearest = self.tree.query(spots)
-        along = np.einsum("fd,fsd->fs", directions, self.normals[nearest])
+        along = np.einsum("fd,fsd->fs", mesh.directions, self.normals[nearest])
         is_told = (distance < self.reach) & (np.abs(along) > 0.5)
         return (np.sign(along) * is_told).mean(1)
 
@@ -82,7 +82,7 @@ def _orient(piece: Piece, patches: _Patches, skin: Skin | None) -> Piece:
     is_seen = np.ones(patches.count, bool)
     if skin is not None and not closed.all():
         agreement = skin.agreement(turned)
-        area = _directions(turned)[1]
+        area = turned.areas
         seen = _sums(patches, area * np.abs(agreement))
         vote = _sums(patches, area * agreement) / np.maximum(seen, 1e-30)
         is_seen = seen > _MIN_SEEN * np.maximum(_sums(patches, area), area.mean())
@@ -119,8 +119,8 @@ class _Patches:
 def _patches(mesh: Mesh) -> _Patches:
     """Every triangle stands twice in a graph, as it is and turned; what faces alike is connected."""
     num = len(mesh.faces)
-    _, place = np.unique(np.round(mesh.vertices, 7), axis=0, return_inverse=True)
-    corners = place.reshape(-1)[mesh.faces]
+    _, place = unique_rows(np.round(mesh.vertices, 7))
+    corners = place[mesh.faces]
     start = corners.ravel()
     end = np.roll(corners, -1, axis=1).ravel()
     shared, is_rim = shared_edges(corners)
@@ -138,7 +138,7 @@ def _patches(mesh: Mesh) -> _Patches:
     is_one_sided[label[as_is == turned]] = True
     is_turned = turned < as_is
     rim = np.flatnonzero(is_rim)
-    area = np.bincount(label, _directions(mesh)[1], total)
+    area = np.bincount(label, mesh.areas / 2, total)
     ends = np.where(is_turned[rim // 3], [end[rim], start[rim]], [start[rim], end[rim]])
     points = np.empty((int(corners.max()) + 1, 3))
     points[corners] = mesh.corners
@@ -176,13 +176,6 @@ def _flip(mesh: Mesh, which: np.ndarray) -> Mesh:
     return Mesh(mesh.vertices, np.where(which[:, None], mesh.faces[:, ::-1], mesh.faces))
 
 
-def _directions(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
-    """f64[F, 3], f64[F]: unit normals, and areas."""
-    normals = mesh.normals
-    length = np.linalg.norm(normals, axis=1)
-    return normals / np.maximum(length, 1e-30)[:, None], length / 2
-
-
 def _sums(patches: _Patches, values: np.ndarray) -> np.ndarray:
     return np.bincount(patches.label, values, patches.count)
 
@@ -203,10 +196,8 @@ def _add_back_sides(piece: Piece, is_sheet: np.ndarray) -> Piece:
     sheet = mesh.faces[is_sheet]
     copied, corners = np.unique(sheet, return_inverse=True)
     normals = np.zeros((len(mesh.vertices), 3))
-    directions, area = _directions(mesh)
-    np.add.at(normals, sheet, (directions * area[:, None])[is_sheet][:, None])
-    normals = normals[copied] / np.maximum(np.linalg.norm(normals[copied], axis=1), 1e-30)[:, None]
-    behind = mesh.vertices[copied] - _THICKNESS * normals
+    np.add.at(normals, sheet, (mesh.directions * mesh.areas[:, None])[is_sheet][:, None])
+    behind = mesh.vertices[copied] - _THICKNESS * unit(normals[copied])
     back = len(mesh.vertices) + corners.reshape(-1, 3)[:, ::-1]
     whole = Mesh(np.concatenate([mesh.vertices, behind]), np.concatenate([mesh.faces, back]))
     uv = None if piece.uv is None else np.concatenate([piece.uv, piece.uv[copied]])

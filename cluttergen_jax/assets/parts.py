@@ -163,10 +163,9 @@ def _corners(outline: np.ndarray, count: int) -> list[int]:
 def finish_parts(
     parts: Sequence[np.ndarray],
     base_corners: int | None,
-    count: int = MAX_PART_VERTICES,
     foot_loss: float = np.inf,
 ) -> list[np.ndarray]:
-    """Parts of at most `count` vertices each; their common bottom flat, with at most `base_corners`.
+    """Parts of few vertices each; their common bottom flat, with at most `base_corners`.
 
     With `base_corners` None bottoms are left as they are.
 
@@ -175,7 +174,7 @@ def finish_parts(
         than four corners.
     """
     if base_corners is None:
-        return [reduce_vertices(points, None, count) for points in parts]
+        return [reduce_vertices(points) for points in parts]
     parts = flatten_bottoms(parts)
     bottom = bottom_height(parts)
     hulls = [sound_points(points) for points in parts]
@@ -188,7 +187,7 @@ def finish_parts(
             plain = with_plain_bottom(points, bottom, base_corners)
         else:
             plain = _with_small_foot(points, bottom, base_corners, lost)
-        finished.append(reduce_vertices(plain, bottom, count))
+        finished.append(reduce_vertices(plain, bottom))
     return finished
 
 

@@ -9,12 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.support import PART_RGBA, Box, SupportAsset
-from cluttergen_jax.geometry import yaw_matrix
+from cluttergen_jax.assets.mesh import Mesh, unique_rows
 
 _CREASE = math.radians(40)
+"""Faces that meet at a greater angle do not share a normal."""
 
 
 class Shaded(NamedTuple):
@@ -33,14 +31,13 @@ class Shaded(NamedTuple):
     uv: np.ndarray | None
 
 
-def shade(mesh: Mesh, uv: np.ndarray | None = None, crease: float = _CREASE) -> Shaded:
+def shade(mesh: Mesh, uv: np.ndarray | None = None) -> Shaded:
     """The mesh with normals; a vertex on an edge, or on a seam of its image, comes once for each side.
 
     Triangles without area are left out.
 
     Args:
       uv: f[V, 2], if there is a texture.
-      crease: radians; faces that meet at a greater angle do not share a normal.
     """
     points, place = np.unique(np.round(mesh.vertices, 7), axis=0, return_inverse=True)
     faces = place.reshape(-1)[mesh.faces]
@@ -50,15 +47,13 @@ def shade(mesh: Mesh, uv: np.ndarray | None = None, crease: float = _CREASE) -> 
     faces = faces[keep]
     normals = normals[keep] / area[keep, None]
     area = area[keep]
-    smooth = _smooth_normals(faces, normals, area, len(points), math.cos(crease))
+    smooth = _smooth_normals(faces, normals, area, len(points), math.cos(_CREASE))
     corner_uv = None if uv is None else np.asarray(uv, np.float32)[mesh.faces[keep].ravel()]
     # Equal normals at one vertex, with equal uv, become one vertex again.
     keys = [faces.ravel(), np.round(smooth * 1e4).astype(np.int64)]
     if corner_uv is not None:
         keys.append(np.round(corner_uv * 1e6).astype(np.int64))
-    _, first, index = np.unique(
-        np.column_stack(keys), axis=0, return_index=True, return_inverse=True
-    )
+    first, index = unique_rows(*keys)
     return Shaded(
         points[faces.ravel()[first]].astype(np.float32),
         smooth[first].astype(np.float32),
@@ -92,18 +87,3 @@ def linear(rgba: Sequence[float]) -> tuple[float, float, float, float]:
 
 def _linear_channel(value: float) -> float:
     return value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4
-
-
-def box_mesh(box: Box) -> Mesh:
-    """A support's box as triangles, world frame."""
-    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
-    local = signs * box.half_extents
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    faces = [tri for a, b, c, d in quads for tri in ((a, b, c), (a, c, d))]
-    return Mesh(local @ yaw_matrix(box.yaw).T + np.array(box.center), np.array(faces))
-
-
-def collision_pieces(support: SupportAsset) -> tuple[Piece, ...]:
-    """All of a support's collision as surfaces in its colours, world frame: boxes, then convex parts."""
-    boxes = [Piece(box_mesh(box), box.rgba) for box in support.boxes]
-    return (*boxes, *(Piece(part.hull(), PART_RGBA) for part in support.parts))

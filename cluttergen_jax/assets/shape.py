@@ -1,15 +1,19 @@
-"""What a reader or the modeller hands to the importer: an object before it is a body."""
+"""What a reader or the modeller hands to the importer: an object before it is a body, and its images."""
 
 from __future__ import annotations
 
+import hashlib
+import io
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from PIL import Image
 
-from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.texture import Texture
+from cluttergen_jax.assets.config import MAX_TEXTURE
+from cluttergen_jax.assets.mesh import ORIGIN, Mesh
+from cluttergen_jax.errors import AssetError
 
 if TYPE_CHECKING:
     # Of use to importers alone, and slow to load.
@@ -18,6 +22,81 @@ if TYPE_CHECKING:
 
 _FLAT = 1e-5
 """Metres."""
+
+
+@dataclass(frozen=True)
+class Texture:
+    """An image for surfaces. Textures of equal bytes are equal.
+
+    Attributes:
+      data: a PNG file, RGB, 8 bits a channel, as shown (sRGB).
+    """
+
+    data: bytes
+
+    @staticmethod
+    def of(image: Image.Image, max_side: int = MAX_TEXTURE) -> Texture:
+        """The image, shrunk until no side is longer than `max_side` pixels; transparency is dropped.
+
+        Raises:
+          AssetError: its file is broken.
+        """
+        try:
+            # A JPEG file can be read at a fraction of its size.
+            image.draft("RGB", (max_side, max_side))
+            pixels = image.convert("RGB")
+        except (
+            OSError,
+            ValueError,
+            SyntaxError,
+            MemoryError,
+            Image.DecompressionBombError,
+        ) as error:
+            raise AssetError(f"an image that cannot be decoded ({error})") from error
+        pixels.thumbnail((max_side, max_side), Image.Resampling.LANCZOS)
+        buffer = io.BytesIO()
+        pixels.save(buffer, "PNG")
+        return Texture(buffer.getvalue())
+
+    @cached_property
+    def digest(self) -> str:
+        """Hex SHA-256 of the file."""
+        return hashlib.sha256(self.data).hexdigest()
+
+    @property
+    def file_name(self) -> str:
+        """What it is called wherever it is stored: equal images have equal names."""
+        return texture_name(self.digest)
+
+    @cached_property
+    def image(self) -> Image.Image:
+        """The image, decoded; not to be changed.
+
+        Raises:
+          ValueError: the bytes are no PNG image.
+        """
+        try:
+            image = Image.open(io.BytesIO(self.data), formats=["PNG"])
+            return image.convert("RGB")
+        except (OSError, SyntaxError, MemoryError, Image.DecompressionBombError) as error:
+            raise ValueError(f"a texture that is no PNG image ({error})") from error
+
+    def at(self, uv: np.ndarray) -> np.ndarray:
+        """f64[N, 3], in [0, 1]: the nearest pixel's colour at f[N, 2]; the image is repeated beyond [0, 1].
+
+        (0, 0) is the lower left corner of the image, (1, 1) the upper right one.
+        """
+        pixels = np.asarray(self.image)
+        height, width = pixels.shape[:2]
+        u, v = np.mod(np.asarray(uv, np.float64), 1.0).T
+        x = np.minimum((u * width).astype(int), width - 1)
+        y = np.minimum(((1 - v) * height).astype(int), height - 1)
+        return pixels[y, x] / 255.0
+
+
+def texture_name(digest: str) -> str:
+    """The file name of the image whose bytes have that SHA-256."""
+    return f"texture-{digest[:12]}.png"
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +136,7 @@ class Piece:
                 )
             object.__setattr__(self, "uv", uv)
 
-    def transform(self, rotation: np.ndarray, translation: np.ndarray) -> Piece:
+    def transform(self, rotation: np.ndarray, translation: np.ndarray = ORIGIN) -> Piece:
         """The piece with its mesh transformed: see `Mesh.transform`."""
         return replace(self, mesh=self.mesh.transform(rotation, translation))
 
@@ -245,14 +324,13 @@ class Shape:
 
     def rotate(self, rotation: np.ndarray) -> Shape:
         """The shape with every point p at rotation @ p."""
-        still = np.zeros(3)
         cavity = self.cavity
         if cavity is not None:
             x, y, z = (rotation @ cavity.mouth).tolist()
-            cavity = Cavity(cavity.solid.transform(rotation, still), (x, y, z))
+            cavity = Cavity(cavity.solid.transform(rotation), (x, y, z))
         return replace(
             self,
-            pieces=tuple(piece.transform(rotation, still) for piece in self.pieces),
+            pieces=tuple(piece.transform(rotation) for piece in self.pieces),
             parts=None if self.parts is None else rotate_meshes(self.parts, rotation),
             cavity=cavity,
             stated=None if self.stated is None else self.stated.convert(rotation, 1.0),
@@ -262,4 +340,4 @@ class Shape:
 
 def rotate_meshes(meshes: tuple[Mesh, ...], rotation: np.ndarray) -> tuple[Mesh, ...]:
     """Meshes with every point p at rotation @ p."""
-    return tuple(mesh.transform(rotation, np.zeros(3)) for mesh in meshes)
+    return tuple(mesh.transform(rotation) for mesh in meshes)

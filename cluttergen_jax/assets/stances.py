@@ -34,8 +34,8 @@ from scipy.spatial.transform import Rotation
 from cluttergen_jax.assets.cloud import sample_faces
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.settle import upright_turn
-from cluttergen_jax.assets.solid import Solid
-from cluttergen_jax.assets.voxels import Voxels, dilate
+from cluttergen_jax.assets.solid import Solid, Voxels, dilate
+from cluttergen_jax.geometry import unit
 
 _MIN_TIP = np.radians(5)
 _SAME = np.cos(np.radians(12))
@@ -156,10 +156,10 @@ class _Faces:
         there = self.neighbors.ravel()
         start = np.roll(self.corners, -1, axis=1).reshape(-1, 3)
         end = np.roll(self.corners, -2, axis=1).reshape(-1, 3)
-        along = (end - start) / np.maximum(np.linalg.norm(end - start, axis=1), 1e-30)[:, None]
+        along = unit(end - start)
         lever = start - (start * along).sum(1)[:, None] * along
         length = np.linalg.norm(lever, axis=1)
-        lever /= np.maximum(length, 1e-30)[:, None]
+        lever = unit(lever)
         normals = self.normals[here]
         others = self.normals[there]
         turn = (normals * others).sum(1) - 1e-9
@@ -268,7 +268,7 @@ class _Look:
         """What it would hold, over its hull, with all surfaces thicker by one cell."""
         if self._is_convex:
             return 0.0
-        voxels = Voxels.of(self._mesh.transform(turn, np.zeros(3)), _CELLS)
+        voxels = Voxels.of(self._mesh.transform(turn), _CELLS)
         thick = replace(voxels, outside=~dilate(voxels.solid))
         return float(thick.water().sum() * voxels.pitch**3 / self._volume)
 

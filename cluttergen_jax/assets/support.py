@@ -11,15 +11,23 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.outline import Ring, outline_of_rectangles, ring_area
 from cluttergen_jax.assets.shape import Joint, Piece, Provenance
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.geometry import (
+    at_height,
+    box_corners,
     rectangle_corners,
     rotate_in_plane,
     rotation_matrix,
     transform_points,
+    yaw_matrix,
 )
+
+Ring = tuple[tuple[float, float], ...]
+"""A polygon's corners, one after the other: counter-clockwise around it, clockwise around a hole."""
+
+_NARROW = 0.01
+"""Half the width of gaps, as between planks, that are no edge."""
 
 _SMALLEST_AREA = 4e-4
 PART_RGBA = (0.72, 0.55, 0.38, 1.0)
@@ -50,6 +58,22 @@ class Box:
         """f64[4, 2], metres, world x and y, counter-clockwise."""
         return rectangle_corners(self.center[:2], self.half_extents[:2], self.yaw)
 
+    @property
+    def top(self) -> float:
+        """Metres: the height of its upper face."""
+        return self.center[2] + self.half_extents[2]
+
+    @property
+    def mesh(self) -> Mesh:
+        """Its triangles, world frame."""
+        local = _BOX_CORNERS * self.half_extents
+        return Mesh(local @ yaw_matrix(self.yaw).T + np.array(self.center), _BOX_FACES)
+
+
+_BOX_CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
+_BOX_QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+_BOX_FACES = np.array([face for a, b, c, d in _BOX_QUADS for face in ((a, b, c), (a, c, d))])
+
 
 @dataclass(frozen=True)
 class Rectangle:
@@ -79,6 +103,16 @@ class Rectangle:
     def corners(self) -> np.ndarray:
         """f64[4, 2], metres, world x and y, counter-clockwise."""
         return rectangle_corners(self.center, self.half_extents, self.yaw)
+
+    def covers(self, points: np.ndarray) -> np.ndarray:
+        """bool[...]: whether points, f64[..., 2], lie in it or on its edge."""
+        local = rotate_in_plane(points - np.array(self.center), -self.yaw)
+        return (np.abs(local) <= self.half_extents).all(-1)
+
+    def spread(self, shares: np.ndarray, margin: float = 0.0) -> np.ndarray:
+        """f64[N, 2]: the points at shares f64[N, 2] of its half extents, which may be larger by a margin."""
+        local = shares * (np.array(self.half_extents) + margin)
+        return rotate_in_plane(local, self.yaw) + self.center
 
 
 @dataclass(frozen=True)
@@ -131,8 +165,8 @@ class Surface:
         """Metres: the height of its lowest point."""
         if self.is_level:
             return self.position[2]
-        points = np.column_stack([self.polygon, np.zeros(len(self.polygon))])
-        return float(transform_points(self.pose, points)[:, 2].min())
+        points = transform_points(self.pose, at_height(self.polygon, 0.0))
+        return float(points[:, 2].min())
 
     @property
     def pose(self) -> np.ndarray:
@@ -193,9 +227,7 @@ class SupportAsset:
     @property
     def level_boxes(self) -> list[Box]:
         """Those that end at the height of its top."""
-        return [
-            box for box in self.boxes if abs(box.center[2] + box.half_extents[2] - self.top) < LEVEL
-        ]
+        return [box for box in self.boxes if abs(box.top - self.top) < LEVEL]
 
     @property
     def asked(self) -> tuple[tuple[Surface, int], ...]:
@@ -208,12 +240,21 @@ class SupportAsset:
         return self.asked[0][0]
 
     @property
+    def collision_pieces(self) -> tuple[Piece, ...]:
+        """All of its collision as surfaces in its colours, world frame: boxes, then convex parts."""
+        boxes = [Piece(box.mesh, box.rgba) for box in self.boxes]
+        return (*boxes, *(Piece(part.hull(), PART_RGBA) for part in self.parts))
+
+    def on_top(self, flat: np.ndarray) -> np.ndarray:
+        """f64[N, 3]: points f64[N, 2] of the surface that `region` lies on, world frame, metres."""
+        if not self.named or self.chosen.is_level:
+            return at_height(flat, self.top)
+        return transform_points(self.chosen.pose, at_height(flat, 0.0))
+
+    @property
     def region_points(self) -> np.ndarray:
         """f64[5, 3]: the middle of the region and its corners, world frame, metres."""
-        flat = np.vstack([self.region.center, self.region.corners])
-        if not self.named or self.chosen.is_level:
-            return np.column_stack([flat, np.full(5, self.top)])
-        return transform_points(self.chosen.pose, np.column_stack([flat, np.zeros(5)]))
+        return self.on_top(np.vstack([self.region.center, self.region.corners]))
 
     @property
     def lowest(self) -> float:
@@ -311,20 +352,28 @@ def _numbers(text: str, what: str, form: str) -> list[float]:
     return values
 
 
+_CORNERED = "X,Y,W,D or X,Y,W,D,YAW; metres and degrees, such as "
+
+
 def parse_region(text: str, default: Rectangle) -> Rectangle:
     """A queried region: `WxD` about the default region's centre, or `X,Y,W,D[,YAW]` (metres, degrees).
 
     Raises:
       ConfigError: it is neither.
     """
-    form = "WxD, or X,Y,W,D or X,Y,W,D,YAW; metres and degrees, such as 0.4x0.5"
+    form = f"WxD, or {_CORNERED}0.4x0.5"
     values = _numbers(text, "region", form)
     if len(values) == 2:
         return Rectangle(default.center, (values[0] / 2, values[1] / 2), default.yaw)
-    if len(values) in (4, 5):
-        x, y, width, depth, *yaw = values
-        return Rectangle((x, y), (width / 2, depth / 2), math.radians(yaw[0]) if yaw else 0.0)
-    raise ConfigError(f"region {text!r}", form)
+    return _rectangle_of(values, f"region {text!r}", form)
+
+
+def _rectangle_of(values: list[float], given: str, form: str) -> Rectangle:
+    """The rectangle of X, Y, W, D and perhaps YAW, in degrees."""
+    if len(values) not in (4, 5):
+        raise ConfigError(given, form)
+    x, y, width, depth, *yaw = values
+    return Rectangle((x, y), (width / 2, depth / 2), math.radians(yaw[0]) if yaw else 0.0)
 
 
 def parse_polygon(text: str, support: SupportAsset) -> tuple[Ring, Rectangle]:
@@ -360,11 +409,8 @@ def parse_keep_out(text: str) -> Rectangle:
     Raises:
       ConfigError: it is not.
     """
-    form = "X,Y,W,D or X,Y,W,D,YAW; metres and degrees, such as 0.1,0,0.2,0.2"
-    values = _numbers(text, "keep-out box", form)
-    if len(values) not in (4, 5):
-        raise ConfigError(f"keep-out box {text!r}", form)
-    return parse_region(text, Rectangle())
+    form = f"{_CORNERED}0.1,0,0.2,0.2"
+    return _rectangle_of(_numbers(text, "keep-out box", form), f"keep-out box {text!r}", form)
 
 
 def parse_boxes(boxes: Sequence[Rectangle | str], argument: str) -> list[Rectangle]:
@@ -390,3 +436,58 @@ def recorded_rectangle(entry: str | Mapping[str, Any]) -> Rectangle:
 def recorded_ring(entry: Any) -> Ring:
     """A polygon of a bank's record; none where there is no entry."""
     return tuple((float(x), float(y)) for x, y in entry)
+
+
+def outline_of_rectangles(rectangles: Sequence[np.ndarray]) -> list[Ring]:
+    """The largest of the areas that rectangles cover together, gaps of up to 2 cm bridged, then its holes.
+
+    Args:
+      rectangles: f64[4, 2] each, counter-clockwise.
+    """
+    if len(rectangles) == 1:
+        return [_as_ring(rectangles[0])]
+    # Loaded where it is needed: most supports are used without their outline.
+    from manifold3d import CrossSection, JoinType
+
+    united = CrossSection([np.asarray(each, np.float64) for each in rectangles])
+    for reach in (_NARROW, -_NARROW):
+        united = united.offset(reach, JoinType.Miter, 2.0)
+    return _largest(united)
+
+
+def outline_of_cells(
+    mask: np.ndarray, origin: np.ndarray, cell: np.ndarray, tolerance: float
+) -> list[Ring]:
+    """The outline of the largest connected area of True cells, then its holes.
+
+    Args:
+      mask: bool[X, Y], something True; origin: f64[2], where cell (0, 0) begins; cell: f64[2], its sides.
+      tolerance: metres by which corners may move to make straight what is a staircase.
+    """
+    from manifold3d import CrossSection
+
+    runs = []
+    for x, row in enumerate(mask):
+        steps = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
+        for start, end in steps.reshape(-1, 2):
+            low = origin + cell * (x, start)
+            high = origin + cell * (x + 1, end)
+            runs.append(box_corners(low, high))
+    return _largest(CrossSection(runs).simplify(tolerance))
+
+
+def ring_area(ring: Ring) -> float:
+    """Square metres within a ring; below zero for a hole."""
+    x, y = np.array(ring, np.float64).T
+    return float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum() / 2)
+
+
+def _largest(section: object) -> list[Ring]:
+    """The largest of the areas of a CrossSection: its outer ring, then its holes."""
+    areas = section.decompose()  # type: ignore[attr-defined]
+    rings = [_as_ring(each) for each in max(areas, key=lambda each: each.area()).to_polygons()]
+    return sorted(rings, key=ring_area, reverse=True)
+
+
+def _as_ring(points: np.ndarray) -> Ring:
+    return tuple((float(x), float(y)) for x, y in points)

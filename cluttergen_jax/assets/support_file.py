@@ -22,7 +22,7 @@ from cluttergen_jax.assets.obj import mesh_text, parse_surface, part_name, surfa
 from cluttergen_jax.assets.object_files import NAME_PATTERN, read_bytes
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.pool import embedded_root, folders_with, user_root
-from cluttergen_jax.assets.shape import Joint, Piece, Provenance
+from cluttergen_jax.assets.shape import Joint, Piece, Provenance, Texture, texture_name
 from cluttergen_jax.assets.support import (
     Box,
     Rectangle,
@@ -31,7 +31,6 @@ from cluttergen_jax.assets.support import (
     cuboid_table,
     parse_surfaces,
 )
-from cluttergen_jax.assets.texture import Texture, texture_name
 from cluttergen_jax.errors import ConfigError, PoolError, closest
 from cluttergen_jax.files import folder_whole, inside, read_regular
 from cluttergen_jax.schema import (

@@ -10,7 +10,6 @@ import numpy as np
 from scipy.ndimage import grey_closing
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.shading import collision_pieces
 from cluttergen_jax.assets.support import MOST_SIDE, Rectangle, SupportAsset, Surface
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import cell_centers, rectangle_corners, rotate_in_plane
@@ -123,11 +122,10 @@ def top_bounds_of(support: SupportAsset) -> TopBounds:
     Of a support with surfaces of its own, that around the chosen one, in its frame.
     """
     axes = rotate_in_plane(np.eye(2), -support.region.yaw)
+    outlines = [box.outline for box in support.level_boxes or support.boxes]
     if support.named:
-        rim = support.chosen.polygon @ axes
-        return TopBounds(axes, rim.min(0) - _OVERHANG, rim.max(0) + _OVERHANG)
-    boxes = support.level_boxes or support.boxes
-    rim = np.concatenate([box.outline for box in boxes]) @ axes
+        outlines = [support.chosen.polygon]
+    rim = np.concatenate(outlines) @ axes
     return TopBounds(axes, rim.min(0) - _OVERHANG, rim.max(0) + _OVERHANG)
 
 
@@ -139,16 +137,11 @@ def rim_height(region: Rectangle, support: SupportAsset) -> float:
     along = np.linspace(-1, 1, _GRID)
     sides = [np.stack([along, np.full(_GRID, sign)], -1) for sign in (-1, 1)]
     rim = np.concatenate([*sides, *(side[:, ::-1] for side in sides)])
-    points = (
-        rotate_in_plane(rim * (np.array(region.half_extents) + _OUTSIDE), region.yaw)
-        + region.center
-    )
+    points = region.spread(rim, _OUTSIDE)
     height = np.zeros(len(points))
-    for x, y, z, *half, yaw in boxes_of(support):
-        local = np.abs(rotate_in_plane(points - (x, y), -yaw))
-        height = np.maximum(
-            height, np.where((local <= half[:2]).all(1), z + half[2] - support.top, 0.0)
-        )
+    for box in support.boxes:
+        is_under = Rectangle(box.center[:2], box.half_extents[:2], box.yaw).covers(points)
+        height = np.maximum(height, np.where(is_under, box.top - support.top, 0.0))
     return float(height.min())
 
 
@@ -193,12 +186,8 @@ def check_keep_out(boxes: Sequence[Rectangle], region: Rectangle) -> None:
       ConfigError: they do.
     """
     grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, _GRID)] * 2), -1).reshape(-1, 2)
-    places = rotate_in_plane(grid * region.half_extents, region.yaw) + region.center
-    is_free = np.ones(len(places), bool)
-    for box in boxes:
-        local = rotate_in_plane(places - np.array(box.center), -box.yaw)
-        is_free &= (np.abs(local) > box.half_extents).any(1)
-    if not is_free.any():
+    places = region.spread(grid)
+    if boxes and np.any([box.covers(places) for box in boxes], axis=0).all():
         raise ConfigError(
             f"keep-out boxes {', '.join(map(str, boxes))}",
             "boxes that leave some of the queried region free",
@@ -243,7 +232,7 @@ def surface_heights(
     """
     inverse = np.linalg.inv(surface.T_world_surface)
     solids = [
-        piece.mesh.transform(inverse[:3, :3], inverse[:3, 3]) for piece in collision_pieces(support)
+        piece.mesh.transform(inverse[:3, :3], inverse[:3, 3]) for piece in support.collision_pieces
     ]
     solids = [mesh for mesh in solids if mesh.bounds[1, 2] > _LOWEST]
     corners = np.concatenate([mesh.vertices[:, :2] for mesh in solids])
@@ -279,16 +268,13 @@ def _span(
     lower = origin + cell * first
     upper = origin + cell * last
     over = look_down(mesh, lower, upper, last - first).height
-    under = -look_down(
-        mesh.transform(np.diag([1.0, 1.0, -1.0]), np.zeros(3)), lower, upper, last - first
-    ).height
+    under = -look_down(mesh.transform(np.diag([1.0, 1.0, -1.0])), lower, upper, last - first).height
     return (slice(first[0], last[0]), slice(first[1], last[1])), under, over
 
 
 def free_height(heights: SurfaceHeights, region: Rectangle) -> float:
     """Metres from a surface up to the lowest thing over a region of it; inf under the open sky."""
-    xy = heights.centers - region.center
-    is_over = (np.abs(rotate_in_plane(xy, -region.yaw)) <= region.half_extents).all(-1)
+    is_over = region.covers(heights.centers)
     return float(heights.ceiling[is_over].min(initial=np.inf))
 
 

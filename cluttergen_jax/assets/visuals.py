@@ -17,9 +17,8 @@ import trimesh
 from PIL import Image
 from scipy.spatial import cKDTree
 
-from cluttergen_jax.assets.mesh import Mesh, clean_mesh, join_meshes
-from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.texture import Texture
+from cluttergen_jax.assets.mesh import UV_DIGITS, Mesh, clean_mesh, join_meshes, unique_rows, weld
+from cluttergen_jax.assets.shape import Piece, Texture
 
 _SIDE = 8
 """Pixels a side of a place, at most."""
@@ -170,14 +169,22 @@ def _with_image(
     piece: Piece, mesh: Mesh, spots: np.ndarray, uv: np.ndarray, texture: Texture
 ) -> Piece:
     """The piece with another mesh and an image; spots, i64[F, 3], say which of f32[N, 2] each corner has."""
-    keys = mesh.faces.astype(np.int64) * len(uv) + spots
-    _, first, inverse = np.unique(keys.ravel(), return_index=True, return_inverse=True)
-    return replace(
-        piece,
-        mesh=Mesh(mesh.vertices[mesh.faces.ravel()[first]], inverse.reshape(-1, 3)),
-        uv=uv[spots.ravel()[first]],
-        texture=texture,
-    )
+    corners = spots.ravel()
+    return _with_corners(piece, mesh, uv[corners], corners, texture)
+
+
+def _with_corners(
+    piece: Piece, mesh: Mesh, uv: np.ndarray, key: np.ndarray, texture: Texture
+) -> Piece:
+    """The piece with another mesh and an image; corners of one vertex and one key become one vertex again.
+
+    Args:
+      uv: f32[3 F, 2], of each corner; key: [3 F, ...], by which corners are told apart.
+    """
+    owner = mesh.faces.ravel()
+    first, index = unique_rows(owner, key)
+    joined = Mesh(mesh.vertices[owner[first]], index.reshape(-1, 3))
+    return replace(piece, mesh=joined, uv=uv[first], texture=texture)
 
 
 def _colours_near(piece: Piece, points: np.ndarray) -> np.ndarray:
@@ -215,7 +222,6 @@ def _uncurve(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return x, y
 
 
-UV_DIGITS = 6
 _NEAR = 16
 """Triangles among which the nearest is looked for."""
 _STRETCH = 3.0
@@ -230,6 +236,7 @@ def transfer_texture(piece: Piece, mesh: Mesh) -> Piece:
     there; elsewhere it is continued as it lies on the old triangle in the middle.
     """
     assert piece.uv is not None
+    assert piece.texture is not None
     old = piece.mesh
     uv = piece.uv.astype(np.float64)
     tree = cKDTree(old.vertices[old.faces].mean(1))
@@ -249,14 +256,9 @@ def transfer_texture(piece: Piece, mesh: Mesh) -> Piece:
         best = np.argmin(np.where(runs_on, away, np.inf), axis=1)
         continued = _places(old, uv, triangle, corners[:, k])
         found[:, k] = np.where(runs_on.any(1)[:, None], places[row, best], continued)
-    keys = np.column_stack([mesh.faces.ravel(), np.round(found.reshape(-1, 2), UV_DIGITS)])
-    _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    vertices = mesh.vertices[mesh.faces.ravel()[first]]
-    return replace(
-        piece,
-        mesh=Mesh(vertices, inverse.reshape(-1, 3)),
-        uv=found.reshape(-1, 2)[first].astype(np.float32),
-    )
+    places = found.reshape(-1, 2)
+    key = np.round(places, UV_DIGITS)
+    return _with_corners(piece, mesh, places.astype(np.float32), key, piece.texture)
 
 
 def _candidates(
@@ -299,12 +301,10 @@ MAX_TEXTURED = 20000
 _COLOUR_STEPS = 32
 
 
-def simplify_pieces(
-    pieces: Sequence[Piece], max_triangles: int = MAX_TRIANGLES, max_textured: int = MAX_TEXTURED
-) -> tuple[Piece, ...]:
+def simplify_pieces(pieces: Sequence[Piece], max_textured: int = MAX_TEXTURED) -> tuple[Piece, ...]:
     """Pieces of like colour and image joined, welded and simplified.
 
-    To about `max_triangles` in all without an image, and `max_textured` in all with one. Sheets are given
+    To about 6,000 triangles in all without an image, and `max_textured` in all with one. Sheets are given
     their second side later, which can double their number.
     """
     groups: dict[tuple[object, ...], list[Piece]] = {}
@@ -318,7 +318,7 @@ def simplify_pieces(
     out = []
     for piece in merged:
         if piece.texture is None:
-            small = _simplify(piece.mesh, min(1.0, max_triangles / plain))
+            small = _simplify(piece.mesh, min(1.0, MAX_TRIANGLES / plain))
             out.append(replace(piece, mesh=small))
         else:
             out.append(_simplify_textured(piece, min(1.0, max_textured / textured)))
@@ -330,27 +330,9 @@ def _merge(group: Sequence[Piece]) -> Piece:
     uvs = [each.uv for each in group if each.uv is not None]
     if not uvs:
         return Piece(clean_mesh(mesh), group[0].rgba)
-    return _weld(replace(group[0], mesh=mesh, uv=np.concatenate(uvs)))
-
-
-def _weld(piece: Piece) -> Piece:
-    """Vertices of equal place and equal uv become one; collapsed and doubled triangles are dropped."""
-    assert piece.uv is not None
-    mesh = piece.mesh
-    _, place = np.unique(np.round(mesh.vertices, mesh.decimals), axis=0, return_inverse=True)
-    keys = np.column_stack([place.reshape(-1), np.round(piece.uv, UV_DIGITS)])
-    _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    faces = inverse.reshape(-1)[mesh.faces]
-    corners = place.reshape(-1)[mesh.faces]
-    is_sound = (corners != np.roll(corners, 1, axis=1)).all(1)
-    faces = faces[is_sound]
-    corners = np.sort(corners[is_sound], axis=1)
-    faces = (
-        faces[np.sort(np.unique(corners, axis=0, return_index=True)[1])] if len(faces) else faces
-    )
-    used, faces = np.unique(faces, return_inverse=True)
-    kept = first[used]
-    return replace(piece, mesh=Mesh(mesh.vertices[kept], faces.reshape(-1, 3)), uv=piece.uv[kept])
+    uv = np.concatenate(uvs)
+    small, kept = weld(mesh, uv)
+    return replace(group[0], mesh=small, uv=uv[kept])
 
 
 def _simplify(mesh: Mesh, share: float) -> Mesh:

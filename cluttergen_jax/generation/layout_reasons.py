@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.outline import Ring
-from cluttergen_jax.assets.support import SupportAsset, Surface
+from cluttergen_jax.assets.support import Ring, SupportAsset, Surface
 from cluttergen_jax.generation.layout_json import UNITS
 from cluttergen_jax.geometry import conjugate, transform_points
 

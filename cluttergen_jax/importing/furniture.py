@@ -35,12 +35,11 @@ from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.config import NARROW_SURFACE, SURFACE_AIR, SURFACE_AREA, SURFACE_WIDTH
 from cluttergen_jax.assets.mesh import Mesh, component_labels, join_meshes
-from cluttergen_jax.assets.outline import Ring, outline_of_cells
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.assets.shape import Shape
-from cluttergen_jax.assets.support import Rectangle, Surface
+from cluttergen_jax.assets.solid import Voxels
+from cluttergen_jax.assets.support import Rectangle, Ring, Surface, outline_of_cells
 from cluttergen_jax.assets.support_map import Span, cells_below, cover, largest_rectangle
-from cluttergen_jax.assets.voxels import Voxels
 from cluttergen_jax.errors import AssetError, first_names
 from cluttergen_jax.geometry import box_corners, cell_centers, rotate_in_plane, yaw_matrix
 from cluttergen_jax.importing.limited import call_limited

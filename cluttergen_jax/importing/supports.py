@@ -37,9 +37,8 @@ from cluttergen_jax.assets.parts import (
     reduce_vertices,
     sound_points,
 )
-from cluttergen_jax.assets.shading import box_mesh
 from cluttergen_jax.assets.shape import Joint, Piece, Shape
-from cluttergen_jax.assets.solid import Solid, solid_of
+from cluttergen_jax.assets.solid import Solid, Voxels, solid_of
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, Surface
 from cluttergen_jax.assets.support_file import (
     embedded_supports,
@@ -60,7 +59,6 @@ from cluttergen_jax.assets.support_map import (
     look_down,
     surface_heights,
 )
-from cluttergen_jax.assets.voxels import Voxels
 from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.files import writing
 from cluttergen_jax.geometry import box_corners, rotate_in_plane, yaw_matrix
@@ -299,12 +297,12 @@ def _several(
     surfaces = [each.surface for each in found]
     surfaces = [top, *surfaces] if level else surfaces
     surfaces = _called_in_order(surfaces)
-    covers = [(surfaces[0], [box_mesh(box).vertices for box in level])] if level else []
+    covers = [(surfaces[0], [box.mesh.vertices for box in level])] if level else []
     solids = []
     lost = []
     for group in moved_together(shape.joints, [piece.mesh for piece in pieces]):
         boxes, parts, notes_of_group = collision_of(group, yaw, surfaces)
-        solids += [box_mesh(box).vertices for box in boxes] + parts
+        solids += [box.mesh.vertices for box in boxes] + parts
         lost += notes_of_group
     bare = _support_of(shape, pieces, surfaces, solids, yaw)
     for each, surface in zip(found, surfaces[-len(found) :], strict=True):
@@ -716,7 +714,7 @@ def with_joints(support: SupportAsset, joints: Sequence[Joint]) -> SupportAsset:
         far = [np.inf if tree is None else float(tree.query(points)[0].mean()) for tree in trees]
         return int(np.argmin(far)) - 1
 
-    boxes = [nearest(box_mesh(box).vertices) for box in support.boxes]
+    boxes = [nearest(box.mesh.vertices) for box in support.boxes]
     parts = [nearest(part.vertices) for part in support.parts]
     made = [
         replace(

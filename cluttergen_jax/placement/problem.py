@@ -12,9 +12,8 @@ from scipy.spatial import ConvexHull
 
 from cluttergen_jax.assets.height_profile import HeightProfile
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.outline import Ring, ring_area
 from cluttergen_jax.assets.pool import Pool, find_pool
-from cluttergen_jax.assets.support import Rectangle, SupportAsset, cuboid_table
+from cluttergen_jax.assets.support import Rectangle, Ring, SupportAsset, cuboid_table, ring_area
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.assets.support_map import check_keep_out, check_region, rim_height
 from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers

@@ -24,7 +24,6 @@ from cluttergen_jax.assets.mjcf import (
 )
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import Pool
-from cluttergen_jax.assets.shading import collision_pieces
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
@@ -134,7 +133,7 @@ def support_sheet(support: SupportAsset) -> np.ndarray:
     Thick lines are outlines and the edges of holes, thin ones the regions queried by default.
     """
     spec, qpos = scene_spec((), np.zeros((0, 7)), support)
-    points = np.concatenate([piece.mesh.vertices for piece in collision_pieces(support)])
+    points = np.concatenate([piece.mesh.vertices for piece in support.collision_pieces])
     trails = []
     spots = []
     for number, surface in enumerate(support.surfaces):

@@ -13,8 +13,8 @@ from functools import partial
 
 import numpy as np
 
-from cluttergen_jax.assets.modeller.bins import open_bin, tote, tray
-from cluttergen_jax.assets.modeller.draw import Rng, vary
+from cluttergen_jax.assets.modeller.bins import SIZES, open_container
+from cluttergen_jax.assets.modeller.draw import Draw
 from cluttergen_jax.assets.support import SupportAsset, cuboid_table
 from cluttergen_jax.errors import ConfigError, PoolError
 from scenes.furniture.desks import drawer_desk, l_desk, shelf_desk
@@ -39,12 +39,17 @@ from scenes.furniture.tables import (
 CUBOID = "table"
 
 
-def _cuboid(rng: Rng = None) -> SupportAsset:
+def _cuboid(vary: Draw) -> SupportAsset:
     """The paper's table, or one of similar size."""
-    return cuboid_table(vary(rng, 0.60), vary(rng, 0.70), vary(rng, 0.70, 0.05))
+    return cuboid_table(vary(0.60), vary(0.70), vary(0.70, 0.05))
 
 
-SUPPORTS: dict[str, Callable[[np.random.Generator | None], SupportAsset]] = {
+def _container(kind: str, vary: Draw) -> SupportAsset:
+    """A bin of 0.40 x 0.30 x 0.15 m inside, as robots pick from; a tote, as warehouses have; a tray."""
+    return open_container(kind, vary=vary)
+
+
+SUPPORTS: dict[str, Callable[[Draw], SupportAsset]] = {
     CUBOID: _cuboid,
     "round_table": round_table,
     "oval_table": oval_table,
@@ -63,9 +68,7 @@ SUPPORTS: dict[str, Callable[[np.random.Generator | None], SupportAsset]] = {
     "tilted_board_5": partial(tilted_board, degrees=5),
     "tilted_board_10": partial(tilted_board, degrees=10),
     "steps": steps,
-    "bin": open_bin,
-    "tote": tote,
-    "tray": tray,
+    **{kind: partial(_container, kind) for kind in SIZES},
 }
 
 
@@ -94,6 +97,6 @@ def make_support(
             )
         return cuboid_table(*size)
     if seed is None:
-        return SUPPORTS[name](None)
-    support = SUPPORTS[name](np.random.default_rng(seed))
+        return SUPPORTS[name](Draw())
+    support = SUPPORTS[name](Draw(np.random.default_rng(seed)))
     return replace(support, name=f"{support.name}-{seed}")

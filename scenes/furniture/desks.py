@@ -6,18 +6,18 @@ from manifold3d import Manifold
 
 from cluttergen_jax.assets.modeller import bins
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, shade, vary
+from cluttergen_jax.assets.modeller.draw import Draw
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from scenes.furniture import joinery
 
 
-def l_desk(rng: Rng = None) -> SupportAsset:
+def l_desk(vary: Draw) -> SupportAsset:
     """An L-shaped desk on steel legs. The region is the larger of the L's two limbs."""
-    width = vary(rng, 1.50, 0.1)
-    depth = vary(rng, 0.65, 0.1)
-    reach = vary(rng, 1.25, 0.08)
-    limb = vary(rng, 0.55, 0.1)
-    top = vary(rng, 0.735, 0.02)
+    width = vary(1.50, 0.1)
+    depth = vary(0.65, 0.1)
+    reach = vary(1.25, 0.08)
+    limb = vary(0.55, 0.1)
+    top = vary(0.735, 0.02)
     thickness = 0.026
     side = 0.045
     low = top - thickness
@@ -54,31 +54,31 @@ def l_desk(rng: Rng = None) -> SupportAsset:
         [
             (
                 cad.extrude(outline, thickness - 0.003, low + 0.003),
-                shade(rng, (bins.WOODS[3], *bins.WOODS)),
+                vary.color(bins.WOODS[3], *bins.WOODS),
             ),
             (cad.extrude(outline, 0.003, low), joinery.DARK_STEEL),
-            (cad.union(*rails, *legs), shade(rng, joinery.METALS, 0.02)),
+            (cad.union(*rails, *legs), vary.color(*joinery.METALS, spread=0.02)),
         ],
         "L-shaped desk",
     )
 
 
-def shelf_desk(rng: Rng = None) -> SupportAsset:
+def shelf_desk(vary: Draw) -> SupportAsset:
     """A desk with a shelf below and a riser along its back. The region is the top before the riser."""
-    width = vary(rng, 1.20, 0.1)
-    depth = vary(rng, 0.66, 0.08)
-    top = vary(rng, 0.74, 0.03)
+    width = vary(1.20, 0.1)
+    depth = vary(0.66, 0.08)
+    top = vary(0.74, 0.03)
     low = top - 0.025
     side = 0.05
     sheet = 0.018
-    wood = shade(rng, bins.WOODS)
-    paint = shade(rng, joinery.PAINTS, 0.03)
+    wood = vary.color(*bins.WOODS)
+    paint = vary.color(*joinery.PAINTS, spread=0.03)
     x = width / 2 - 0.04
     y = depth / 2 - 0.04
     leg_boxes, leg_pieces = joinery.square_legs(x, y, side, low, paint)
     riser_width = 0.86 * width
     riser_depth = 0.22
-    riser_height = vary(rng, 0.125)
+    riser_height = vary(0.125)
     back = depth / 2 - 0.01
     front = back - riser_depth
     middle = back - riser_depth / 2
@@ -116,16 +116,16 @@ def shelf_desk(rng: Rng = None) -> SupportAsset:
     )
 
 
-def drawer_desk(rng: Rng = None) -> SupportAsset:
+def drawer_desk(vary: Draw) -> SupportAsset:
     """A writing desk with a cabinet of three drawers. Its whole top is the region."""
-    width = vary(rng, 1.20, 0.1)
-    depth = vary(rng, 0.60, 0.08)
-    top = vary(rng, 0.75, 0.03)
+    width = vary(1.20, 0.1)
+    depth = vary(0.60, 0.08)
+    top = vary(0.75, 0.03)
     low = top - 0.028
-    wood = shade(rng, (bins.WOODS[1], *bins.WOODS))
-    paint = shade(rng, joinery.PAINTS, 0.03)
+    wood = vary.color(bins.WOODS[1], *bins.WOODS)
+    paint = vary.color(*joinery.PAINTS, spread=0.03)
     side = 0.05
-    cabinet = (vary(rng, 0.40, 0.1), depth - 0.07, low - 0.07)
+    cabinet = (vary(0.40, 0.1), depth - 0.07, low - 0.07)
     place = (width / 2 - 0.02 - cabinet[0] / 2, 0.01)
     face = place[1] - cabinet[1] / 2
     x = -width / 2 + 0.05

@@ -13,7 +13,7 @@ from manifold3d import Manifold
 
 from cluttergen_jax.assets.modeller import solids as cad
 from cluttergen_jax.assets.modeller.bins import slab
-from cluttergen_jax.assets.modeller.draw import Rng, hex_colors
+from cluttergen_jax.assets.modeller.draw import Draw, hex_colors
 from cluttergen_jax.assets.support import Box, Rectangle
 
 PAINTS = hex_colors("ece8df d7dde0 5b6b78 44584c b9694a")
@@ -140,7 +140,7 @@ def square_legs(
 
 
 def planks(
-    rng: Rng,
+    vary: Draw,
     width: float,
     depths: Sequence[float],
     gap: float,
@@ -155,7 +155,7 @@ def planks(
       depths: along y, one per board.
       low, high: heights of the lower and the upper face.
     """
-    noise = np.random.default_rng(5) if rng is None else rng
+    noise = vary.rng or np.random.default_rng(5)
     boxes = []
     pieces = []
     for depth in depths:

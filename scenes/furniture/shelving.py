@@ -12,7 +12,7 @@ from manifold3d import Manifold
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller import bins
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, shade, vary
+from cluttergen_jax.assets.modeller.draw import Draw
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, Surface
 from scenes.furniture import joinery
 
@@ -20,15 +20,15 @@ _Slab = tuple[tuple[float, float, float], tuple[float, float], float]
 """Size, place and lower height of a board."""
 
 
-def bookcase(rng: Rng = None) -> SupportAsset:
+def bookcase(vary: Draw) -> SupportAsset:
     """A bookcase of four boards between two sides, closed at the back; its top carries objects, too."""
-    width = vary(rng, 0.80, 0.1)
-    depth = vary(rng, 0.30, 0.08)
-    height = vary(rng, 1.08, 0.05)
+    width = vary(0.80, 0.1)
+    depth = vary(0.30, 0.08)
+    height = vary(1.08, 0.05)
     sheet = 0.018
     back = 0.008
     plinth = 0.06
-    wood = shade(rng, (bins.WOODS[3], *bins.WOODS))
+    wood = vary.color(bins.WOODS[3], *bins.WOODS)
     inner = width - 2 * sheet
     front = depth - back
     shelves: list[_Slab] = []
@@ -56,16 +56,16 @@ def bookcase(rng: Rng = None) -> SupportAsset:
     )
 
 
-def rack(rng: Rng = None) -> SupportAsset:
+def rack(vary: Draw) -> SupportAsset:
     """A rack of two boards on four posts, open on all sides."""
-    width = vary(rng, 0.70, 0.1)
-    depth = vary(rng, 0.36, 0.08)
-    top = vary(rng, 0.72, 0.05)
-    low = vary(rng, 0.34, 0.05)
+    width = vary(0.70, 0.1)
+    depth = vary(0.36, 0.08)
+    top = vary(0.72, 0.05)
+    low = vary(0.34, 0.05)
     sheet = 0.022
     post = 0.03
-    wood = shade(rng, (bins.WOODS[1], *bins.WOODS))
-    paint = shade(rng, joinery.METALS, 0.02)
+    wood = vary.color(bins.WOODS[1], *bins.WOODS)
+    paint = vary.color(*joinery.METALS, spread=0.02)
     # The lower board lies between the posts, so that none of them stands on it.
     boards: list[_Slab] = [
         ((width, depth, sheet), (0.0, 0.0), top - sheet),
@@ -90,17 +90,17 @@ def rack(rng: Rng = None) -> SupportAsset:
     )
 
 
-def kitchen_drawer(rng: Rng = None) -> SupportAsset:
+def kitchen_drawer(vary: Draw) -> SupportAsset:
     """A kitchen cabinet whose upper drawer is open; things go into the drawer, and on the worktop."""
-    width = vary(rng, 0.60, 0.08)
-    depth = vary(rng, 0.56, 0.05)
-    height = vary(rng, 0.90, 0.03)
+    width = vary(0.60, 0.08)
+    depth = vary(0.56, 0.05)
+    height = vary(0.90, 0.03)
     wall = 0.015
     floor = 0.012
     sheet = 0.035
     reach = 0.44
-    wood = shade(rng, bins.WOODS)
-    paint = shade(rng, joinery.PAINTS, 0.03)
+    wood = vary.color(*bins.WOODS)
+    paint = vary.color(*joinery.PAINTS, spread=0.03)
     back = reach / 2
     carcass: _Slab = ((width, depth, height - sheet - 0.08), (0.0, back), 0.08)
     face = back - depth / 2
@@ -148,16 +148,16 @@ def kitchen_drawer(rng: Rng = None) -> SupportAsset:
     )
 
 
-def dish_rack(rng: Rng = None) -> SupportAsset:
+def dish_rack(vary: Draw) -> SupportAsset:
     """A dish rack: a tray with a rim of two wires, and a comb of pegs for plates along its back."""
-    width = vary(rng, 0.46, 0.08)
-    depth = vary(rng, 0.36, 0.06)
+    width = vary(0.46, 0.08)
+    depth = vary(0.36, 0.06)
     foot = 0.012
     floor = 0.008
     rim = 0.055
     wire = 0.005
-    steel = shade(rng, joinery.METALS[1:], 0.02)
-    plastic = shade(rng, joinery.PAINTS, 0.03)
+    steel = vary.color(*joinery.METALS[1:], spread=0.02)
+    plastic = vary.color(*joinery.PAINTS, spread=0.03)
     top = foot + floor
     tray: _Slab = ((width, depth, floor), (0.0, 0.0), foot)
     comb = depth / 2 - 0.075
@@ -197,14 +197,14 @@ def dish_rack(rng: Rng = None) -> SupportAsset:
     )
 
 
-def tilted_board(rng: Rng, degrees: int) -> SupportAsset:
+def tilted_board(vary: Draw, degrees: int) -> SupportAsset:
     """A drawing board on a stand, its front edge lower by so many degrees of slope."""
-    width = vary(rng, 0.70, 0.1)
-    depth = vary(rng, 0.55, 0.08)
-    height = vary(rng, 0.72, 0.04)
+    width = vary(0.70, 0.1)
+    depth = vary(0.55, 0.08)
+    height = vary(0.72, 0.04)
     sheet = 0.024
-    wood = shade(rng, (bins.WOODS[3], *bins.WOODS))
-    paint = shade(rng, joinery.METALS, 0.02)
+    wood = vary.color(bins.WOODS[3], *bins.WOODS)
+    paint = vary.color(*joinery.METALS, spread=0.02)
     slope = math.radians(degrees)
     turn = (math.cos(slope / 2), math.sin(slope / 2), 0.0, 0.0)
     region = Rectangle((0.0, 0.0), (width / 2, depth / 2))
@@ -238,12 +238,12 @@ def tilted_board(rng: Rng, degrees: int) -> SupportAsset:
     return replace(support, parts=(board,))
 
 
-def steps(rng: Rng = None) -> SupportAsset:
+def steps(vary: Draw) -> SupportAsset:
     """Three steps, each as deep as the next."""
-    width = vary(rng, 0.60, 0.1)
-    tread = vary(rng, 0.26, 0.08)
-    rise = vary(rng, 0.17, 0.08)
-    wood = shade(rng, (bins.WOODS[1], *bins.WOODS))
+    width = vary(0.60, 0.1)
+    tread = vary(0.26, 0.08)
+    rise = vary(0.17, 0.08)
+    wood = vary.color(bins.WOODS[1], *bins.WOODS)
     nosing = 0.022
     treads: list[_Slab] = []
     blocks: list[_Slab] = []

@@ -7,20 +7,20 @@ from manifold3d import Manifold
 
 from cluttergen_jax.assets.modeller import bins
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, shade, vary
+from cluttergen_jax.assets.modeller.draw import Draw
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset
 from scenes.furniture import joinery
 
 _ROUND_CORNER = 1 - np.sqrt(0.5).item()
 
 
-def round_table(rng: Rng = None) -> SupportAsset:
+def round_table(vary: Draw) -> SupportAsset:
     """A round dining table on four splayed legs. The region is the square in the circle."""
-    radius = vary(rng, 0.45, 0.12)
-    top = vary(rng, 0.74, 0.03)
-    thickness = vary(rng, 0.028)
+    radius = vary(0.45, 0.12)
+    top = vary(0.74, 0.03)
+    thickness = vary(0.028)
     low = top - thickness
-    wood = shade(rng, bins.WOODS)
+    wood = vary.color(*bins.WOODS)
     head = 0.46 * radius
     foot = 0.62 * radius
     feet = joinery.mirror_corners(foot, foot)
@@ -49,14 +49,14 @@ def round_table(rng: Rng = None) -> SupportAsset:
     )
 
 
-def oval_table(rng: Rng = None) -> SupportAsset:
+def oval_table(vary: Draw) -> SupportAsset:
     """An oval dining table on two columns with long feet. The region is the largest rectangle inside."""
-    rx = vary(rng, 0.72, 0.12)
-    ry = vary(rng, 0.43, 0.1)
-    top = vary(rng, 0.745, 0.03)
-    thickness = vary(rng, 0.030)
+    rx = vary(0.72, 0.12)
+    ry = vary(0.43, 0.1)
+    top = vary(0.745, 0.03)
+    thickness = vary(0.030)
     low = top - thickness
-    wood = shade(rng, bins.WOODS[1:])
+    wood = vary.color(*bins.WOODS[1:])
     x = 0.48 * rx
     reach = 0.66 * ry
     solids = []
@@ -99,14 +99,14 @@ def oval_table(rng: Rng = None) -> SupportAsset:
     )
 
 
-def bar_table(rng: Rng = None) -> SupportAsset:
+def bar_table(vary: Draw) -> SupportAsset:
     """A small, high, round table on a steel column. The region is the square in the circle."""
-    radius = vary(rng, 0.33, 0.1)
-    top = vary(rng, 1.06, 0.04)
+    radius = vary(0.33, 0.1)
+    top = vary(1.06, 0.04)
     thickness = 0.030
     low = top - thickness
     base = 0.74 * radius
-    steel = shade(rng, joinery.METALS, 0.02)
+    steel = vary.color(*joinery.METALS, spread=0.02)
     foot = cad.revolve(
         [(0, 0), (base, 0), (base, 0.006), (0.93 * base, 0.014), (0.05, 0.045), (0, 0.045)]
     )
@@ -130,7 +130,7 @@ def bar_table(rng: Rng = None) -> SupportAsset:
         [
             (
                 joinery.plate(cad.ellipse(0.992 * radius, 0.992 * radius, 96), low, top, 0.002),
-                shade(rng, bins.WOODS[2:]),
+                vary.color(*bins.WOODS[2:]),
             ),
             (_ring(radius, 0.988 * radius, low + 0.002, top - 0.003), joinery.DARK_STEEL),
             (cad.union(foot, column, collar, rail, *spokes), steel),
@@ -138,16 +138,16 @@ def bar_table(rng: Rng = None) -> SupportAsset:
     )
 
 
-def coffee_table(rng: Rng = None) -> SupportAsset:
+def coffee_table(vary: Draw) -> SupportAsset:
     """A low table with round corners over a slatted shelf. The region stays within the round corners."""
-    width = vary(rng, 1.10, 0.12)
-    depth = vary(rng, 0.60, 0.12)
-    top = vary(rng, 0.42, 0.08)
+    width = vary(1.10, 0.12)
+    depth = vary(0.60, 0.12)
+    top = vary(0.42, 0.08)
     radius = 0.05
     low = top - 0.034
     side = 0.05
-    wood = shade(rng, bins.WOODS[1:])
-    paint = shade(rng, joinery.PAINTS, 0.03)
+    wood = vary.color(*bins.WOODS[1:])
+    paint = vary.color(*joinery.PAINTS, spread=0.03)
     x = width / 2 - 0.075
     y = depth / 2 - 0.075
     shelf_low = 0.13
@@ -188,18 +188,18 @@ def _ring(outer: float, inner: float, low: float, high: float) -> Manifold:
     )
 
 
-def tray_table(rng: Rng = None) -> SupportAsset:
+def tray_table(vary: Draw) -> SupportAsset:
     """A butler's tray on legs: a rim all around, with a grip at each short side. The region is its floor."""
-    width = vary(rng, 0.66, 0.12)
-    depth = vary(rng, 0.46, 0.1)
-    top = vary(rng, 0.52, 0.06)
+    width = vary(0.66, 0.12)
+    depth = vary(0.46, 0.1)
+    top = vary(0.52, 0.06)
     floor = 0.016
     wall = 0.014
-    rim = vary(rng, 0.060, 0.1)
+    rim = vary(0.060, 0.1)
     side = 0.032
     low = top - floor
-    wood = shade(rng, (bins.WOODS[2], *bins.WOODS))
-    paint = shade(rng, (joinery.METALS[0], *joinery.PAINTS), 0.02)
+    wood = vary.color(bins.WOODS[2], *bins.WOODS)
+    paint = vary.color(joinery.METALS[0], *joinery.PAINTS, spread=0.02)
     inner_x = width / 2 - wall
     inner_y = depth / 2 - wall
     grip = 0.13
@@ -245,14 +245,14 @@ def tray_table(rng: Rng = None) -> SupportAsset:
     )
 
 
-def trestle_table(rng: Rng = None) -> SupportAsset:
+def trestle_table(vary: Draw) -> SupportAsset:
     """A long board on two trestles. Its whole top is the region."""
-    width = vary(rng, 1.60, 0.1)
-    depth = vary(rng, 0.76, 0.08)
-    top = vary(rng, 0.74, 0.02)
+    width = vary(1.60, 0.1)
+    depth = vary(0.76, 0.08)
+    top = vary(0.74, 0.02)
     low = top - 0.032
-    wood = shade(rng, (bins.WOODS[3], *bins.WOODS))
-    _, boards = joinery.planks(rng, width, [depth / 4] * 4, 0.0, -depth / 2, low, top, wood)
+    wood = vary.color(bins.WOODS[3], *bins.WOODS)
+    _, boards = joinery.planks(vary, width, [depth / 4] * 4, 0.0, -depth / 2, low, top, wood)
     x = 0.34 * width
     foot = 0.42 * depth
     head = 0.10 * depth
@@ -285,26 +285,26 @@ def trestle_table(rng: Rng = None) -> SupportAsset:
         top,
         Rectangle((0.0, 0.0), (width / 2, depth / 2)),
         [bins.slab((width, depth, top - low), (0, 0), low), *boxes],
-        [*boards, (cad.union(*solids), shade(rng, (bins.WOODS[1], *joinery.PAINTS)))],
+        [*boards, (cad.union(*solids), vary.color(bins.WOODS[1], *joinery.PAINTS))],
     )
 
 
-def picnic_table(rng: Rng = None) -> SupportAsset:
+def picnic_table(vary: Draw) -> SupportAsset:
     """A garden table of five planks with gaps, and its two benches. The region is the table's whole top."""
-    width = vary(rng, 1.60, 0.1)
-    top = vary(rng, 0.74, 0.03)
+    width = vary(1.60, 0.1)
+    top = vary(0.74, 0.03)
     thickness = 0.038
-    plank = vary(rng, 0.140, 0.05)
+    plank = vary(0.140, 0.05)
     gap = 0.008
     depth = 5 * plank + 4 * gap
     low = top - thickness
-    wood = shade(rng, (bins.WOODS[1], *bins.WOODS))
-    boxes, pieces = joinery.planks(rng, width, [plank] * 5, gap, -depth / 2, low, top, wood)
+    wood = vary.color(bins.WOODS[1], *bins.WOODS)
+    boxes, pieces = joinery.planks(vary, width, [plank] * 5, gap, -depth / 2, low, top, wood)
     seat = 0.60 * top
     seat_depth = 2 * 0.130 + gap
     near = depth / 2 + 0.11
     for start in (near, -near - seat_depth):
-        bench = joinery.planks(rng, width, [0.130] * 2, gap, start, seat - thickness, seat, wood)
+        bench = joinery.planks(vary, width, [0.130] * 2, gap, start, seat - thickness, seat, wood)
         boxes = boxes + bench[0]
         pieces = pieces + bench[1]
     x = 0.36 * width

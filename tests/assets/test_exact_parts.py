@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.assets.config import DecompositionConfig
-from cluttergen_jax.assets.decompose import decompose
-from cluttergen_jax.assets.deviation import deviation, is_within_parts
-from cluttergen_jax.assets.exact_parts import (
+from cluttergen_jax.assets.decompose import (
     convex_pieces,
+    decompose,
     exact_parts,
     outlines_around,
     signed_area,
 )
+from cluttergen_jax.assets.deviation import deviation, is_within_parts
 from cluttergen_jax.assets.hollow import find_hollow
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.parts import finish_parts, hull_of

@@ -10,7 +10,7 @@ from cluttergen_jax.assets.deviation import _farthest
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.parts import finish_parts, hull_of
 from cluttergen_jax.assets.settle import resting_poses, solo_model
-from cluttergen_jax.assets.voxels import Voxels
+from cluttergen_jax.assets.solid import Voxels
 from cluttergen_jax.geometry import rotation_matrix
 from tests.helpers.shapes import make_box, slab
 

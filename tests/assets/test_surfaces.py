@@ -9,8 +9,15 @@ import pytest
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.mjcf import add_support, new_spec
-from cluttergen_jax.assets.outline import outline_of_cells, ring_area
-from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, Surface, cuboid_table
+from cluttergen_jax.assets.support import (
+    Box,
+    Rectangle,
+    SupportAsset,
+    Surface,
+    cuboid_table,
+    outline_of_cells,
+    ring_area,
+)
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
 from cluttergen_jax.assets.support_map import free_height, surface_heights
 from cluttergen_jax.config import ContactConfig, StabilityConfig

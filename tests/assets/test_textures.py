@@ -9,9 +9,8 @@ import trimesh
 from PIL import Image
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.shape import Piece, Shape
+from cluttergen_jax.assets.shape import Piece, Shape, Texture
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
-from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.assets.visuals import simplify_pieces
 from cluttergen_jax.errors import PoolError
 from cluttergen_jax.importing.readers import ReadOptions, read_source

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
-from cluttergen_jax.assets.voxels import Voxels, scan_lines
+from cluttergen_jax.assets.solid import Voxels, scan_lines
 from cluttergen_jax.importing.readers.primitives import box
 
 

@@ -8,9 +8,8 @@ from PIL import Image
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, RestingPose
-from cluttergen_jax.assets.shape import Piece, Provenance
+from cluttergen_jax.assets.shape import Piece, Provenance, Texture
 from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.scene import Scene
 
 SIZE = (0.12, 0.10, 0.03)

@@ -5,8 +5,8 @@ import pytest
 import trimesh
 
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
-from cluttergen_jax.assets.outline import ring_area
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
+from cluttergen_jax.assets.support import ring_area
 from cluttergen_jax.assets.support_map import free_height, surface_heights
 from cluttergen_jax.geometry import rotate_in_plane
 from cluttergen_jax.importing.supports import collision_of, support_with_notes

@@ -23,8 +23,8 @@ from PIL import Image
 import cluttergen_jax as cg
 from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.pool import EMBEDDED, find_pool
+from cluttergen_jax.assets.shape import Texture
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
-from cluttergen_jax.assets.texture import Texture
 from cluttergen_jax.bank_reader import Bank
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.scene import Origin

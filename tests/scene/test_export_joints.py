@@ -6,7 +6,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from cluttergen_jax.assets.shading import box_mesh
 from cluttergen_jax.assets.support_file import read_support, support_hash, write_support
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
@@ -93,7 +92,7 @@ def test_joints_stand_where_they_were_opened_and_move_what_is_theirs(tmp_path, k
     assert (rail.range, lock.range) == (pytest.approx((0, 0.3)), pytest.approx((-1, 1)))
     np.testing.assert_allclose(np.abs(rail.axis), (0, 1, 0), atol=1e-6)
     # The drawer has its boards, whatever their number among all, and nothing else has them.
-    solids = [box_mesh(support.boxes[number]).vertices for number in rail.boxes]
+    solids = [support.boxes[number].mesh.vertices for number in rail.boxes]
     solids += [support.parts[number].vertices for number in rail.parts]
     points = np.concatenate(solids)
     surface = np.concatenate([support.pieces[number].mesh.vertices for number in rail.pieces])

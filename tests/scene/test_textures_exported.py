@@ -6,8 +6,7 @@ import pytest
 import trimesh
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.texture import Texture
+from cluttergen_jax.assets.shape import Piece, Texture
 from cluttergen_jax.rendering.gl import gl_context
 from tests.helpers import textured
 from tests.helpers.drawing import needs_gl

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import Rng, hex_colors, made_by, shade, vary
+from cluttergen_jax.assets.modeller.draw import Draw, hex_colors, made_by
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset
 from cluttergen_jax.errors import ConfigError
 
@@ -35,6 +35,7 @@ _AROUND = 0.10
 _HEIGHT = 0.70
 
 _CORNER = 0.012
+_CANONICAL = Draw()
 _COLORS = dict(zip(SIZES, hex_colors("4f6d8c 8a9099 b5814f"), strict=True))
 
 
@@ -66,13 +67,14 @@ def table(
 
 
 def open_container(
-    kind: str, size: tuple[float, ...] | None = None, rng: Rng = None
+    kind: str, size: tuple[float, ...] | None = None, vary: Draw = _CANONICAL
 ) -> SupportAsset:
     """A bin, a tote or a tray on a table of 0.70 m.
 
     Args:
       kind: a key of `SIZES`.
       size: width, depth and perhaps height inside, metres; those of its kind if not given.
+      vary: the canonical sizes and colours by default.
 
     Raises:
       ConfigError: a size is out of range or not a number.
@@ -85,12 +87,12 @@ def open_container(
             f"each side between {LEAST:g} and {MOST:g} m",
             f"support='{kind}-{'x'.join(f'{side:.2f}' for side in SIZES[kind])}'",
         )
-    width, depth, height = (vary(rng, float(side), 0.1) for side in given)
+    width, depth, height = (vary(float(side), 0.1) for side in given)
     outer = (width + 2 * WALL, depth + 2 * WALL)
     top = _HEIGHT + WALL
     under = tuple(max(least, side + 2 * _AROUND) for least, side in zip(_TABLE, outer, strict=True))
-    color = shade(rng, (_COLORS[kind],))
-    wood = shade(rng, WOODS)
+    color = vary.color(_COLORS[kind])
+    wood = vary.color(*WOODS)
     walls: list[Box] = []
     for sign in (-1, 1):
         walls.append(slab((WALL, outer[1], WALL + height), (sign * (width + WALL) / 2, 0), _HEIGHT))
@@ -111,18 +113,3 @@ def open_container(
         [(cad.box((*under, _HEIGHT)), wood), (shell, color)],
         f"{kind} on a table",
     )
-
-
-def open_bin(rng: Rng = None) -> SupportAsset:
-    """A bin of 0.40 x 0.30 x 0.15 m inside, as robots pick from."""
-    return open_container("bin", rng=rng)
-
-
-def tote(rng: Rng = None) -> SupportAsset:
-    """A tote of 0.60 x 0.40 x 0.20 m inside, as warehouses have them."""
-    return open_container("tote", rng=rng)
-
-
-def tray(rng: Rng = None) -> SupportAsset:
-    """A tray of 0.45 x 0.32 x 0.04 m inside."""
-    return open_container("tray", rng=rng)

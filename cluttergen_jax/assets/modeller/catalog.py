@@ -13,88 +13,74 @@ from cluttergen_jax.assets.modeller import (
     kitchenware,
     stationery,
 )
-from cluttergen_jax.assets.modeller.draw import Family
+from cluttergen_jax.assets.modeller.draw import Draw, Family, made_by
 from cluttergen_jax.assets.shape import Shape
 from cluttergen_jax.errors import PoolError
 
 _POOLS: dict[str, tuple[Family, ...]] = {
     # What stands on a laid table.
     "dining": (
-        *(
-            kitchenware.mug,
-            kitchenware.bowl,
-            kitchenware.dinner_plate,
-            kitchenware.water_glass,
-            kitchenware.wine_glass,
-        ),
-        *(
-            containers.bottle,
-            containers.soup_can,
-            containers.cereal_box,
-            kitchenware.pepper_mill,
-            kitchenware.fork,
-        ),
+        kitchenware.mug,
+        kitchenware.bowl,
+        kitchenware.dinner_plate,
+        kitchenware.water_glass,
+        kitchenware.wine_glass,
+        containers.bottle,
+        containers.soup_can,
+        containers.cereal_box,
+        kitchenware.pepper_mill,
+        kitchenware.fork,
     ),
     # What lies on a worktop.
     "kitchen": (
-        *(
-            kitchenware.pot,
-            kitchenware.frying_pan,
-            kitchenware.teapot,
-            kitchenware.colander,
-            kitchenware.toaster,
-        ),
-        *(containers.jar, containers.milk_carton),
-        *(kitchenware.knife, kitchenware.wooden_spoon, kitchenware.cutting_board),
+        kitchenware.pot,
+        kitchenware.frying_pan,
+        kitchenware.teapot,
+        kitchenware.colander,
+        kitchenware.toaster,
+        containers.jar,
+        containers.milk_carton,
+        kitchenware.knife,
+        kitchenware.wooden_spoon,
+        kitchenware.cutting_board,
     ),
     # What stands about on a study's desk.
     "study": (
-        *(
-            stationery.hardback_book,
-            homeware.desk_lamp,
-            electronics.alarm_clock,
-            electronics.camera,
-            homeware.globe,
-        ),
-        *(
-            electronics.laptop,
-            electronics.mouse,
-            stationery.stapler,
-            homeware.eyeglasses,
-            containers.pencil_cup,
-        ),
+        stationery.hardback_book,
+        homeware.desk_lamp,
+        electronics.alarm_clock,
+        electronics.camera,
+        homeware.globe,
+        electronics.laptop,
+        electronics.mouse,
+        stationery.stapler,
+        homeware.eyeglasses,
+        containers.pencil_cup,
     ),
     # What is worked with at a desk.
     "office": (
-        *(
-            electronics.keyboard,
-            electronics.calculator,
-            stationery.tape_dispenser,
-            stationery.scissors,
-        ),
-        *(
-            containers.pen_holder,
-            electronics.desk_phone,
-            containers.letter_tray,
-            stationery.hole_punch,
-        ),
-        *(stationery.sticky_notes, stationery.ring_binder),
+        electronics.keyboard,
+        electronics.calculator,
+        stationery.tape_dispenser,
+        stationery.scissors,
+        containers.pen_holder,
+        electronics.desk_phone,
+        containers.letter_tray,
+        stationery.hole_punch,
+        stationery.sticky_notes,
+        stationery.ring_binder,
     ),
     # What is found about the house.
     "household": (
-        *(
-            homeware.tissue_box,
-            homeware.tape_roll,
-            homeware.spray_bottle,
-            homeware.candle,
-            homeware.flower_pot,
-        ),
-        *(
-            electronics.remote_control,
-            homeware.toy_car,
-            homeware.soap_dispenser,
-            homeware.photo_frame,
-        ),
+        homeware.tissue_box,
+        homeware.tape_roll,
+        homeware.spray_bottle,
+        homeware.candle,
+        homeware.flower_pot,
+        electronics.remote_control,
+        homeware.toy_car,
+        homeware.soap_dispenser,
+        homeware.photo_frame,
         homeware.basket,
     ),
 }
@@ -119,7 +105,10 @@ def make_shape(family: str, seed: int | None = None) -> Shape:
         raise PoolError(
             f"no family named {family!r}", ", ".join(sorted(FAMILIES)), "one of these names"
         )
-    if seed is None:
-        return FAMILIES[family](None)
-    shape = FAMILIES[family](np.random.default_rng(seed))
-    return replace(shape, name=f"{shape.name}-{seed}")
+    shape = FAMILIES[family](Draw(None if seed is None else np.random.default_rng(seed)))
+    return replace(
+        shape,
+        name=family if seed is None else f"{family}-{seed}",
+        label=shape.label or family.replace("_", " "),
+        provenance=made_by(family),
+    )

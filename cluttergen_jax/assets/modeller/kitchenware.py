@@ -7,29 +7,41 @@ from manifold3d import Manifold
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller import parts as part
-from cluttergen_jax.assets.modeller import solids as cad
-from cluttergen_jax.assets.modeller.draw import (
-    Rng,
-    assemble,
-    choose,
-    hex_colors,
-    hex_rgb,
-    shade,
-    vary,
+from cluttergen_jax.assets.modeller.draw import Draw, assemble, hex_colors, hex_rgb
+from cluttergen_jax.assets.modeller.solids import (
+    Points2,
+    above,
+    box,
+    cylinder,
+    difference,
+    ellipse,
+    extrude,
+    lathe,
+    pipe,
+    revolve,
+    rounded_box,
+    rounded_rect,
+    smooth_path,
+    sweep,
+    to_mesh,
+    tube,
+    union,
+    upright,
 )
 from cluttergen_jax.assets.modeller.vessel import Vessel
 from cluttergen_jax.assets.shape import Cavity, Shape
+from cluttergen_jax.geometry import at_height
 
 PLATE_GLAZES = hex_colors("4f86a6 c9713f 6f8f5a a43f4f e3ded2 2f3e55 d8b64c")
 PORCELAIN = hex_colors("f1eee6 e6ecef f3e6d6 dfe7dc")
 
 
-def bowl(rng: Rng = None) -> Shape:
+def bowl(vary: Draw) -> Shape:
     """A cereal bowl on a flat foot, glazed outside, light inside."""
-    radius = vary(rng, 0.076)
-    height = vary(rng, 0.064)
-    foot = radius * (0.46 if rng is None else rng.uniform(0.40, 0.55))
-    wall = vary(rng, 0.0046)
+    radius = vary(0.076)
+    height = vary(0.064)
+    foot = radius * vary.within(0.46, 0.40, 0.55)
+    wall = vary(0.0046)
     turns = np.linspace(0.15, 1.0, 7) * np.pi / 2 * 0.78
     shape = np.stack(
         [np.sin(turns) / np.sin(turns[-1]), (1 - np.cos(turns)) / (1 - np.cos(turns[-1]))], -1
@@ -40,20 +52,19 @@ def bowl(rng: Rng = None) -> Shape:
     body = Vessel([(foot, 0.0), (foot, 0.004), *outer], [(inner[0][0] - 0.006, floor), *inner])
     outside, lining = body.layers(0.0012)
     return assemble(
-        name="bowl",
         label="cereal bowl",
-        pieces=((outside, shade(rng, PLATE_GLAZES)), (lining, (0.96, 0.94, 0.90))),
+        pieces=((outside, vary.color(*PLATE_GLAZES)), (lining, (0.96, 0.94, 0.90))),
         parts=body.parts(8, cuts=(floor + 0.33 * (height - floor),)),
         cavity=body.cavity(),
-        mass=vary(rng, 0.38, 0.15),
+        mass=vary(0.38, 0.15),
     )
 
 
-def dinner_plate(rng: Rng = None) -> Shape:
+def dinner_plate(vary: Draw) -> Shape:
     """A flat plate with a raised rim and a coloured band near its edge."""
-    radius = vary(rng, 0.130)
-    height = vary(rng, 0.022, 0.2)
-    well = radius * vary(rng, 0.66, 0.08)
+    radius = vary(0.130)
+    height = vary(0.022, 0.2)
+    well = radius * vary(0.66, 0.08)
     thick = 0.005
     outer = [
         (well - 0.010, 0.0),
@@ -72,18 +83,17 @@ def dinner_plate(rng: Rng = None) -> Shape:
     low, high = (
         np.interp(r, [p[0] for p in body.inner], [p[1] for p in body.inner]) for r in (near, far)
     )
-    band = cad.revolve(
+    band = revolve(
         [(near, low - 0.0010), (far, high - 0.0010), (far, high + 0.0003), (near, low + 0.0003)]
     )
     return assemble(
-        name="dinner_plate",
         pieces=(
-            (body.solid() - band, shade(rng, PORCELAIN, 0.02)),
-            (band, shade(rng, PLATE_GLAZES)),
+            (body.solid() - band, vary.color(*PORCELAIN, spread=0.02)),
+            (band, vary.color(*PLATE_GLAZES)),
         ),
         parts=body.parts(10),
         cavity=body.cavity(),
-        mass=vary(rng, 0.55, 0.2),
+        mass=vary(0.55, 0.2),
     )
 
 
@@ -91,23 +101,22 @@ MUG_GLAZES = hex_colors("2f6f9f b8452f 3f7f5f e0a63a 7a4b8c 37424e d9d3c7")
 GLASS = hex_colors("a9d3e6 b9dfd0 c9c4e4 d7e0e4")
 
 
-def mug(rng: Rng = None) -> Shape:
+def mug(vary: Draw) -> Shape:
     """A coffee mug with a light lining and one handle on its +x side."""
-    radius = vary(rng, 0.041)
-    height = vary(rng, 0.096, 0.2)
-    foot = radius * (0.95 if rng is None else rng.uniform(0.78, 1.0))
-    wall = vary(rng, 0.0042)
+    radius = vary(0.041)
+    height = vary(0.096, 0.2)
+    foot = radius * vary.within(0.95, 0.78, 1.0)
+    wall = vary(0.0042)
     outer = [(foot - 0.004, 0.0), (foot - 0.001, 0.002), (foot, 0.005), (radius, height - 0.0015)]
     inner = [(foot - wall - 0.004, 0.006), (foot - wall, 0.010), (radius - wall, height - 0.0015)]
     body = Vessel([*outer, (radius - 0.0012, height)], [*inner, (radius - wall + 0.0012, height)])
-    path = _handle_path(rng, body, height)
-    section = cad.ellipse(vary(rng, 0.0068), vary(rng, 0.0038), 20)
+    path = _handle_path(vary, body, height)
+    section = ellipse(vary(0.0068), vary(0.0038), 20)
     outside, lining = body.layers(0.0012)
-    outside = cad.union(outside, cad.sweep(path, section) - body.inside() - lining)
+    outside = union(outside, sweep(path, section) - body.inside() - lining)
     return assemble(
-        name="mug",
         label="coffee mug",
-        pieces=((outside, shade(rng, MUG_GLAZES)), (lining, (0.95, 0.93, 0.89))),
+        pieces=((outside, vary.color(*MUG_GLAZES)), (lining, (0.95, 0.93, 0.89))),
         parts=(
             *body.parts(8),
             *part.sweep(
@@ -115,15 +124,15 @@ def mug(rng: Rng = None) -> Shape:
             ),
         ),
         cavity=body.cavity(),
-        mass=vary(rng, 0.33, 0.1),
+        mass=vary(0.33, 0.1),
     )
 
 
-def _handle_path(rng: Rng, body: Vessel, height: float) -> np.ndarray:
+def _handle_path(vary: Draw, body: Vessel, height: float) -> np.ndarray:
     """The middle line of a mug's handle in the xz plane, both ends inside the wall, f64[24, 3]."""
-    high = height * vary(rng, 0.82, 0.05)
-    low = height * vary(rng, 0.24, 0.25)
-    reach = vary(rng, 0.031)
+    high = height * vary(0.82, 0.05)
+    low = height * vary(0.24, 0.25)
+    reach = vary(0.031)
     drop = high - low
     knots = [
         (body.outer_radius(high) - 0.003, 0.0, high),
@@ -132,16 +141,16 @@ def _handle_path(rng: Rng, body: Vessel, height: float) -> np.ndarray:
         (body.outer_radius(low) + 0.75 * reach, 0.0, low + 0.15 * drop),
         (body.outer_radius(low) - 0.003, 0.0, low - 0.02 * drop),
     ]
-    return cad.smooth_path(knots, 24)
+    return smooth_path(knots, 24)
 
 
-def water_glass(rng: Rng = None) -> Shape:
+def water_glass(vary: Draw) -> Shape:
     """A tumbler of clear glass with a heavy base."""
-    radius = vary(rng, 0.037)
-    height = vary(rng, 0.120, 0.2)
-    foot = radius * (0.82 if rng is None else rng.uniform(0.72, 0.98))
-    wall = vary(rng, 0.0026)
-    base = vary(rng, 0.011, 0.3)
+    radius = vary(0.037)
+    height = vary(0.120, 0.2)
+    foot = radius * vary.within(0.82, 0.72, 0.98)
+    wall = vary(0.0026)
+    base = vary(0.011, 0.3)
     outer = [
         (foot - 0.002, 0.0),
         (foot, 0.002),
@@ -156,22 +165,21 @@ def water_glass(rng: Rng = None) -> Shape:
     ]
     body = Vessel(outer, inner)
     return assemble(
-        name="water_glass",
-        pieces=((body.solid(), shade(rng, GLASS), 0.5),),
+        pieces=((body.solid(), vary.color(*GLASS), 0.5),),
         parts=body.parts(8),
         cavity=body.cavity(),
-        mass=vary(rng, 0.25, 0.15),
+        mass=vary(0.25, 0.15),
     )
 
 
-def wine_glass(rng: Rng = None) -> Shape:
+def wine_glass(vary: Draw) -> Shape:
     """A stemmed glass: a foot, a thin stem and a tulip-shaped bowl."""
-    belly = vary(rng, 0.041, 0.12)
-    mouth = choose(rng, (0.80, 0.74, 0.86, 0.92))
-    foot = vary(rng, 0.036, 0.08)
-    stem = vary(rng, 0.085, 0.2)
-    radius = vary(rng, 0.0046, 0.1)
-    depth = vary(rng, 0.100, 0.15)
+    belly = vary(0.041, 0.12)
+    mouth = vary.choose(0.80, 0.74, 0.86, 0.92)
+    foot = vary(0.036, 0.08)
+    stem = vary(0.085, 0.2)
+    radius = vary(0.0046, 0.1)
+    depth = vary(0.100, 0.15)
     wall = 0.0024
     base = stem + 0.010
     wide = stem + 0.010 + 0.42 * depth
@@ -181,18 +189,16 @@ def wine_glass(rng: Rng = None) -> Shape:
     inside = [(r - wall, z) for r, z in outside]
     lower = [(foot, 0.0), (foot, 0.0022), (0.3 * foot, 0.0055), (radius, 0.014), (radius, stem)]
     body = Vessel([(0.35 * belly, base), *outside], [(0.3 * belly, base + 0.0035), *inside])
-    profile = [(0.0, 0.0), *lower, *body.outer, *reversed(body.inner), (0.0, body.floor)]
-    cavity = cad.revolve([(0.0, body.floor), *body.inner, (0.0, rim)])
+    profile = [*lower, *body.outer, *reversed(body.inner)]
     return assemble(
-        name="wine_glass",
-        pieces=((cad.revolve(profile), shade(rng, GLASS), 0.5),),
+        pieces=((lathe(profile), vary.color(*GLASS), 0.5),),
         parts=(
             part.disc([(foot, 0.0), (foot, 0.0022), (0.25 * foot, 0.0060)], 8, is_standing=True),
             part.disc([(1.1 * radius, 0.004), (1.1 * radius, base + 0.001)], 6),
             *body.parts(8, cuts=(wide,)),
         ),
-        cavity=Cavity(cad.to_mesh(cavity), (0.0, 0.0, rim)),
-        mass=vary(rng, 0.16, 0.15),
+        cavity=body.cavity(),
+        mass=vary(0.16, 0.15),
     )
 
 
@@ -200,20 +206,18 @@ TEAPOT_GLAZES = hex_colors("e8e2d4 b3262e 2f6f8f d9822b 3f6f4f 7a5a8c")
 TRIMS = hex_colors("2f5f9f 8a5a2b 25282c")
 
 
-def teapot(rng: Rng = None) -> Shape:
+def teapot(vary: Draw) -> Shape:
     """A round teapot with its lid on, a spout at +x and a handle at -x."""
-    radius = vary(rng, 0.072, 0.1)
-    height = vary(rng, 0.105, 0.12)
+    radius = vary(0.072, 0.1)
+    height = vary(0.105, 0.12)
     base = 0.62 * radius
     neck = 0.48 * radius
-    reach = vary(rng, 0.058, 0.1)
+    reach = vary(0.058, 0.1)
     belly = [(base, 0.004), (0.93 * radius, 0.26 * height), (radius, 0.48 * height)]
     belly += [(0.85 * radius, 0.77 * height), (neck, height)]
-    body = cad.revolve(
-        [(0.0, 0.0), (base - 0.003, 0.0), *cad.smooth_path(belly, 30), (0.0, height)]
-    )
+    body = lathe([(base - 0.003, 0.0), *smooth_path(belly, 30)])
     rising = [(0.80, 0.0, 0.34), (1.0, 0.38, 0.46), (1.0, 0.66, 0.74), (1.0, 1.0, 0.97)]
-    spout = cad.smooth_path([(r * radius + s * reach, 0, z * height) for r, s, z in rising], 20)
+    spout = smooth_path([(r * radius + s * reach, 0, z * height) for r, s, z in rising], 20)
     falling = [
         (0.80, 0.0, 0.80),
         (1.0, 0.026, 0.90),
@@ -221,21 +225,18 @@ def teapot(rng: Rng = None) -> Shape:
         (1.0, 0.028, 0.32),
         (0.9, 0.0, 0.24),
     ]
-    arm = cad.smooth_path([(-r * radius - x, 0, z * height) for r, x, z in falling], 24)
-    bar = cad.ellipse(0.0070, 0.0052, 16)
+    arm = smooth_path([(-r * radius - x, 0, z * height) for r, x, z in falling], 24)
+    bar = ellipse(0.0070, 0.0052, 16)
     sizes = np.linspace(1.35, 0.62, 20)
-    bore = cad.tube(spout[-4:] + np.array([0.0004, 0, 0.0008]), 0.0042)
-    vessel = cad.difference(
-        cad.union(body, cad.tube(spout, 0.0115, scales=sizes), cad.sweep(arm, bar)), bore
-    )
-    trim = shade(rng, TRIMS, 0.03)
+    bore = tube(spout[-4:] + np.array([0.0004, 0, 0.0008]), 0.0042)
+    vessel = difference(union(body, tube(spout, 0.0115, scales=sizes), sweep(arm, bar)), bore)
+    trim = vary.color(*TRIMS, spread=0.03)
     cells = part.thin_path(spout, 2)
     return assemble(
-        name="teapot",
         pieces=(
-            (vessel, shade(rng, TEAPOT_GLAZES, 0.04)),
+            (vessel, vary.color(*TEAPOT_GLAZES, spread=0.04)),
             (_lid(neck, height), trim),
-            (cad.difference(_band(body, height), vessel), trim),
+            (difference(_band(body, height), vessel), trim),
         ),
         parts=(
             *_belly([(base, 0.0), *belly[1:]]),
@@ -246,7 +247,7 @@ def teapot(rng: Rng = None) -> Shape:
             *part.sweep(cells, 0.0115, scales=np.interp(cells[:, 2], spout[:, 2], sizes)),
             *part.sweep(part.thin_path(arm, 4, 0.03), bar[::2]),
         ),
-        mass=vary(rng, 0.85, 0.15),
+        mass=vary(0.85, 0.15),
     )
 
 
@@ -263,24 +264,24 @@ def _lid(neck: float, height: float) -> Manifold:
     dome = [(neck + 0.003, -0.001), (neck + 0.003, 0.003), (0.6 * neck, 0.010), (0.008, 0.013)]
     knob = [(0.007, 0.016), (0.012, 0.022), (0.011, 0.029), (0.005, 0.032), (0.0, 0.032)]
     below = [(0.0, 0.008), (0.5 * neck, 0.006), (neck, 0.0005), (neck, -0.001)]
-    return cad.revolve([*below, *dome, *knob]).translate((0, 0, height))
+    return revolve([*below, *dome, *knob]).translate((0, 0, height))
 
 
 def _band(body: Manifold, height: float) -> Manifold:
     """A painted ring around the belly of a body of revolution."""
     grown = body.scale((1.006, 1.006, 1.0)).trim_by_plane((0, 0, 1), 0.60 * height)
-    return cad.difference(grown.trim_by_plane((0, 0, -1), -0.66 * height), body)
+    return difference(grown.trim_by_plane((0, 0, -1), -0.66 * height), body)
 
 
 MILL_WOODS = hex_colors("8a4b25 b9793f 3b2417 c8322b 26282c ddb57a")
 
 
-def pepper_mill(rng: Rng = None) -> Shape:
+def pepper_mill(vary: Draw) -> Shape:
     """A turned pepper mill: a waisted body, a metal ring, a round head with a knob."""
-    radius = vary(rng, 0.0275, 0.1)
-    height = vary(rng, 0.185, 0.25)
-    waist = vary(rng, 0.60, 0.12) * radius
-    chest = vary(rng, 0.80, 0.06) * radius
+    radius = vary(0.0275, 0.1)
+    height = vary(0.185, 0.25)
+    waist = vary(0.60, 0.12) * radius
+    chest = vary(0.80, 0.06) * radius
     neck = 0.60 * height
     head = 0.86 * height
     crown = neck + 0.012 * height
@@ -299,25 +300,18 @@ def pepper_mill(rng: Rng = None) -> Shape:
     ball += [(0.75 * chest, head - 0.06 * depth), (0.30 * chest, head)]
     knob = [(0.30, 0.86), (0.36, 0.91), (0.42, 0.955), (0.24, 1.0)]
     knob = [(r * radius, z * height) for r, z in knob]
-    body = [(0.0, 0.0), (radius - 0.0015, 0.0), (radius, 0.0015), *cad.smooth_path(knots, 24)]
-    ring = [
-        (0.70 * chest, neck),
-        (0.76 * chest, neck),
-        (0.76 * chest, crown),
-        (0.70 * chest, crown),
-    ]
+    body = [(radius - 0.0015, 0.0), (radius, 0.0015), *smooth_path(knots, 24)]
     low = (waist, 0.27 * height)
     high = (waist, 0.34 * height)
     steel = hex_rgb("c9ccd0")
     return assemble(
-        name="pepper_mill",
         pieces=(
             (
-                cad.revolve([*body, *cad.smooth_path(ball, 20), (0.0, head)]),
-                shade(rng, MILL_WOODS, 0.04),
+                lathe([*body, *smooth_path(ball, 20)]),
+                vary.color(*MILL_WOODS, spread=0.04),
             ),
-            (cad.revolve(ring), steel),
-            (cad.revolve([(0.0, head), *cad.smooth_path(knob, 14), (0.0, height)]), steel),
+            (pipe(0.70 * chest, 0.76 * chest, neck, crown), steel),
+            (lathe(smooth_path(knob, 14)), steel),
         ),
         parts=(
             part.disc(
@@ -329,7 +323,7 @@ def pepper_mill(rng: Rng = None) -> Shape:
             part.disc([(0.72 * chest, neck - 0.002), ball[2], (0.30 * chest, head)], 8),
             part.disc([(0.30 * radius, head - 0.002), knob[2], knob[3]], 8),
         ),
-        mass=vary(rng, 0.24, 0.15) * (radius / 0.0275) ** 2 * (height / 0.185),
+        mass=vary(0.24, 0.15) * (radius / 0.0275) ** 2 * (height / 0.185),
     )
 
 
@@ -339,38 +333,35 @@ DARK = hex_rgb("25282c")
 UP = (0.0, 0.0, 1.0)
 
 
-def pot(rng: Rng = None) -> Shape:
+def pot(vary: Draw) -> Shape:
     """An open cooking pot with two loop handles on its x axis."""
-    radius = vary(rng, 0.100, 0.15)
-    height = vary(rng, 0.110, 0.25)
-    wall = vary(rng, 0.0038)
+    radius = vary(0.100, 0.15)
+    height = vary(0.110, 0.25)
+    wall = vary(0.0038)
     outer = [(radius - 0.006, 0.0), (radius - 0.001, 0.003), (radius, 0.008), (radius, height)]
     inner = [(radius - wall - 0.004, 0.006), (radius - wall, 0.010), (radius - wall, height)]
     body = Vessel(outer, inner)
     outside, lining = body.layers(0.0012)
     loops = [_loop(side, radius, 0.80 * height, 0.036, 0.038) for side in (1, -1)]
-    bar = cad.rounded_rect(0.0075, 0.0100, 0.003, 3)
-    handles = [
-        cad.difference(cad.sweep(path, bar, UP), body.inside(), body.solid()) for path in loops
-    ]
+    bar = rounded_rect(0.0075, 0.0100, 0.003, 3)
+    handles = [difference(sweep(path, bar, UP), body.inside(), body.solid()) for path in loops]
     edge = radius + 0.002
-    rim = cad.revolve([(radius - wall, height - 0.004), (edge, height - 0.004), (edge, height)])
+    rim = revolve([(radius - wall, height - 0.004), (edge, height - 0.004), (edge, height)])
     corners = bar[[0, 3, 4, 7, 8, 11, 12, 15]]
     legs = [
         cell for path in loops for cell in part.sweep(part.thin_path(path, 3, 0.05), corners, UP)
     ]
     return assemble(
-        name="pot",
         label="cooking pot",
         pieces=(
-            (outside, shade(rng, ENAMELS, 0.04)),
+            (outside, vary.color(*ENAMELS, spread=0.04)),
             (lining, hex_rgb("d4d6d8")),
-            (cad.difference(rim, body.solid(), body.inside()), hex_rgb("b4b8bc")),
+            (difference(rim, body.solid(), body.inside()), hex_rgb("b4b8bc")),
             *((handle, DARK) for handle in handles),
         ),
         parts=(*body.parts(8), *legs),
         cavity=body.cavity(),
-        mass=vary(rng, 1.30, 0.15) * (radius / 0.1) ** 2,
+        mass=vary(1.30, 0.15) * (radius / 0.1) ** 2,
     )
 
 
@@ -383,55 +374,54 @@ def _loop(side: int, radius: float, z: float, half: float, reach: float) -> np.n
         (radius + 0.92 * reach, -0.6 * half),
     ]
     knots += [(radius + reach, 0.0), *((x, -y) for x, y in reversed(knots))]
-    return cad.smooth_path([(side * x, side * y, z) for x, y in knots], 20)
+    return smooth_path([(side * x, side * y, z) for x, y in knots], 20)
 
 
-def frying_pan(rng: Rng = None) -> Shape:
+def frying_pan(vary: Draw) -> Shape:
     """A low pan with a long handle at +x, balanced so that it stands on its base."""
-    radius = vary(rng, 0.125, 0.12)
-    height = vary(rng, 0.046, 0.15)
-    base = radius * vary(rng, 0.80, 0.05)
+    radius = vary(0.125, 0.12)
+    height = vary(0.046, 0.15)
+    base = radius * vary(0.80, 0.05)
     wall = 0.0040
     bend = (base + 0.45 * (radius - base), 0.30 * height)
     outer = [(base - 0.003, 0.0), (base, 0.002), bend, (radius, height)]
     inner = [(base - 0.006, 0.006), (bend[0] - wall, bend[1] + 0.002), (radius - wall, height)]
     body = Vessel(outer, inner)
     outside, lining = body.layers(0.0010)
-    length = vary(rng, 0.175, 0.12)
+    length = vary(0.175, 0.12)
     start = body.outer_radius(0.72 * height) - 0.002
-    path = cad.smooth_path(
+    path = smooth_path(
         [(start + s * length, 0, 0.72 * height + lift) for s, lift in _PAN_HANDLE], 24
     )
     sizes = np.interp(
         np.linspace(0, 1, 24), [0.0, 0.2, 0.45, 0.9, 1.0], [0.62, 0.62, 0.95, 1.0, 0.75]
     )
-    bar = cad.ellipse(0.0125, 0.0070, 16)
-    grip = cad.difference(cad.sweep(path, bar, scales=sizes), body.inside(), body.solid())
+    bar = ellipse(0.0125, 0.0070, 16)
+    grip = difference(sweep(path, bar, scales=sizes), body.inside(), body.solid())
     stations = part.thin_path(path, 3)
     scales = np.interp(stations[:, 0], path[:, 0], sizes)
     return assemble(
-        name="frying_pan",
         pieces=(
-            (outside, shade(rng, (*ENAMELS[5:], *ENAMELS[:5]), 0.03)),
+            (outside, vary.color(*ENAMELS[5:], *ENAMELS[:5], spread=0.03)),
             (lining, hex_rgb("3a3d42")),
-            (grip, shade(rng, (hex_rgb("6b4226"), DARK, hex_rgb("9a6a3a")), 0.03)),
+            (grip, vary.color(hex_rgb("6b4226"), DARK, hex_rgb("9a6a3a"), spread=0.03)),
         ),
         parts=(
             *body.parts(8),
-            *part.sweep(stations, cad.ellipse(0.0125, 0.0070, 8), scales=scales),
+            *part.sweep(stations, ellipse(0.0125, 0.0070, 8), scales=scales),
         ),
         cavity=body.cavity(),
-        mass=vary(rng, 0.95, 0.15) * (radius / 0.125) ** 2,
+        mass=vary(0.95, 0.15) * (radius / 0.125) ** 2,
     )
 
 
 _PAN_HANDLE = [(0.0, 0.0), (0.25, 0.008), (0.55, 0.018), (0.85, 0.022), (1.0, 0.020)]
 
 
-def colander(rng: Rng = None) -> Shape:
+def colander(vary: Draw) -> Shape:
     """A metal sieve bowl with rows of holes, a flat base and two ears."""
-    radius = vary(rng, 0.115, 0.12)
-    height = vary(rng, 0.095, 0.15)
+    radius = vary(0.115, 0.12)
+    height = vary(0.095, 0.15)
     wall = 0.0030
     foot = 0.50 * radius
     curve = [(0.0, 0.05), (0.29, 0.22), (0.60, 0.47), (0.85, 0.75), (1.0, 1.0)]
@@ -449,23 +439,20 @@ def colander(rng: Rng = None) -> Shape:
     rim_path = np.stack(
         [radius + 0.0035 * np.cos(turns), height - 0.0035 * (1 - np.sin(turns))], -1
     )
-    shell = cad.difference(cad.union(body.solid(), cad.revolve(rim_path)), *holes)
-    wires = [
-        cad.difference(cad.tube(path, 0.0034, UP, segments=10), body.inside()) for path in ears
-    ]
+    shell = difference(union(body.solid(), revolve(rim_path)), *holes)
+    wires = [difference(tube(path, 0.0034, UP, segments=10), body.inside()) for path in ears]
     legs = [cell for path in ears for cell in part.sweep(part.thin_path(path, 3, 0.04), 0.0036, UP)]
     return assemble(
-        name="colander",
-        pieces=((cad.union(shell, *wires), shade(rng, METALS, 0.03)),),
+        pieces=((union(shell, *wires), vary.color(*METALS, spread=0.03)),),
         parts=(*body.parts(8), *legs),
         cavity=body.cavity(),
-        mass=vary(rng, 0.42, 0.15),
+        mass=vary(0.42, 0.15),
     )
 
 
 def _hole(body: Vessel, z: float, turn: float) -> Manifold:
     """A drill of 6 mm through the wall at height z, `turn` of the way around."""
-    drill = cad.cylinder(0.0030, 0.030, segments=8).rotate((0, 50, 0))
+    drill = cylinder(0.0030, 0.030, segments=8).rotate((0, 50, 0))
     return drill.translate((body.inner_radius(z) - 0.012, 0, z - 0.010)).rotate((0, 0, 360 * turn))
 
 
@@ -473,28 +460,26 @@ TOASTER_BODIES = hex_colors("c9ccd0 b3262e 8fb7b0 e6dfcf 2e3238 d9a441")
 TOASTER_DARK = hex_rgb("23262a")
 
 
-def toaster(rng: Rng = None) -> Shape:
+def toaster(vary: Draw) -> Shape:
     """A two-slot toaster: slots along x, its lever at +x, a dial on the same end."""
-    width = vary(rng, 0.265, 0.1)
-    depth = vary(rng, 0.165, 0.08)
-    height = vary(rng, 0.185, 0.08)
+    width = vary(0.265, 0.1)
+    depth = vary(0.165, 0.08)
+    height = vary(0.185, 0.08)
     long = 0.56 * width
-    wide = vary(rng, 0.032, 0.06)
+    wide = vary(0.032, 0.06)
     deep = 0.55 * height
     middle = 0.21 * depth
     floor = height - deep
-    slots = [cad.box((long, wide, deep + 0.01), (0.0, side * middle), floor) for side in (-1, 1)]
-    shell = cad.above(cad.rounded_box((width, depth, height + 0.022), 0.020, z=-0.022, segments=32))
-    frame = cad.extrude(
-        cad.rounded_rect(long + 0.024, 2 * middle + wide + 0.024, 0.010), 0.0012, height - 0.0006
+    slots = [box((long, wide, deep + 0.01), (0.0, side * middle), floor) for side in (-1, 1)]
+    shell = above(rounded_box((width, depth, height + 0.022), 0.020, z=-0.022, segments=32))
+    frame = extrude(
+        rounded_rect(long + 0.024, 2 * middle + wide + 0.024, 0.010), 0.0012, height - 0.0006
     )
-    base = cad.difference(
-        cad.extrude(cad.rounded_rect(width + 0.003, depth + 0.003, 0.022), 0.016), shell
-    )
+    base = difference(extrude(rounded_rect(width + 0.003, depth + 0.003, 0.022), 0.016), shell)
     end = width / 2
-    lever = cad.rounded_box((0.026, 0.036, 0.014), 0.004, (end + 0.010, 0.0), 0.66 * height)
-    track = cad.box((0.002, 0.008, 0.50 * height), (end, 0.0), 0.30 * height)
-    dial = cad.cylinder(0.015, 0.012, segments=32).rotate((0, 90, 0))
+    lever = rounded_box((0.026, 0.036, 0.014), 0.004, (end + 0.010, 0.0), 0.66 * height)
+    track = box((0.002, 0.008, 0.50 * height), (end, 0.0), 0.30 * height)
+    dial = cylinder(0.015, 0.012, segments=32).rotate((0, 90, 0))
     dial = dial.translate((end - 0.001, 0.28 * depth, 0.32 * height))
     wall = (depth - 2 * middle - wide) / 2
     rib = 2 * middle - wide
@@ -504,12 +489,11 @@ def toaster(rng: Rng = None) -> Shape:
     low = floor - 0.002
     span = long + 0.004
     return assemble(
-        name="toaster",
         pieces=(
-            (cad.difference(shell, *slots), shade(rng, TOASTER_BODIES, 0.04)),
-            (cad.difference(frame, shell, *slots), TOASTER_DARK),
+            (difference(shell, *slots), vary.color(*TOASTER_BODIES, spread=0.04)),
+            (difference(frame, shell, *slots), TOASTER_DARK),
             (base, TOASTER_DARK),
-            (cad.difference(cad.union(lever, track, dial), shell), TOASTER_DARK),
+            (difference(union(lever, track, dial), shell), TOASTER_DARK),
         ),
         parts=(
             part.box((width, depth, floor)),
@@ -525,9 +509,9 @@ def toaster(rng: Rng = None) -> Shape:
             part.box((0.026, 0.036, 0.014), (end + 0.010, 0.0), 0.66 * height),
         ),
         cavity=Cavity(
-            cad.to_mesh(cad.box((long, wide, deep), (0.0, -middle), floor)), (0.0, -middle, height)
+            to_mesh(box((long, wide, deep), (0.0, -middle), floor)), (0.0, -middle, height)
         ),
-        mass=vary(rng, 1.70, 0.15),
+        mass=vary(1.70, 0.15),
     )
 
 
@@ -539,15 +523,15 @@ WOODS = hex_colors("c08a4f a56b35 d8b27c 7a4a26")
 RAISE = 0.0004
 
 
-def fork(rng: Rng = None) -> Shape:
+def fork(vary: Draw) -> Shape:
     """A table fork that lies on the end of its handle and on the root of its four tines."""
-    length = vary(rng, 0.192, 0.1)
-    width = vary(rng, 0.0250, 0.1)
-    thick = vary(rng, 0.0026, 0.12)
-    arch = vary(rng, 0.0080, 0.2)
+    length = vary(0.192, 0.1)
+    width = vary(0.0250, 0.1)
+    thick = vary(0.0026, 0.12)
+    arch = vary(0.0080, 0.2)
     ends = np.array([0.0, 0.03, 0.20, 0.45, 0.60, 0.70, 0.76, 0.83, 1.0]) * length
     lifts = np.array([0.0, 0.0, 0.0, 0.75, 1.0, 0.35, 0.0, 0.0, 0.9]) * arch
-    grip = vary(rng, 0.0085, 0.12)
+    grip = vary(0.0085, 0.12)
     handle = [0.55 * grip, grip, 0.95 * grip, 0.0042, 0.0036]
     head = [0.3, 0.5, 0.5, 0.44]
     halves = np.array([*handle, *(share * width for share in head)])
@@ -555,17 +539,17 @@ def fork(rng: Rng = None) -> Shape:
     prong = (width - 3 * slot) / 4
     places = (np.arange(4) - 1.5) * (prong + slot)
     gaps = [
-        cad.box((length, slot, 0.1), (1.30 * length, y), z=-0.01)
+        box((length, slot, 0.1), (1.30 * length, y), z=-0.01)
         for y in (places[:-1] + places[1:]) / 2
     ]
-    solid = cad.difference(_ribbon(ends, halves, lifts, thick), *gaps)
+    solid = difference(_ribbon(ends, halves, lifts, thick), *gaps)
     # Only the two flat legs, the handle's end and the head, reach down to the table.
     raised = [RAISE * (k not in (0, 1, 6)) for k in range(7)]
     legs = [
         _slab(ends[k : k + 2], halves[k : k + 2], lifts[k : k + 2] + raised[k], thick)
         for k in range(7)
     ]
-    end = part.hull(np.concatenate([legs[0].vertices, legs[1].vertices]))
+    end = part.hull(legs[0].vertices, legs[1].vertices)
     tines = [
         _slab(ends[-2:], np.full(2, prong / 2), lifts[-2:] + RAISE, thick, y, 0.88 * y)
         for y in places
@@ -573,11 +557,10 @@ def fork(rng: Rng = None) -> Shape:
     shift = np.array([-length / 2, 0.0, 0.0])
     parts = [piece.transform(np.eye(3), shift) for piece in (end, *legs[2:], *tines)]
     return assemble(
-        name="fork",
         label="table fork",
-        pieces=((solid.translate((-length / 2, 0, 0)), shade(rng, STEELS, 0.03)),),
+        pieces=((solid.translate((-length / 2, 0, 0)), vary.color(*STEELS, spread=0.03)),),
         parts=tuple(parts),
-        mass=vary(rng, 0.050, 0.15),
+        mass=vary(0.050, 0.15),
     )
 
 
@@ -586,10 +569,8 @@ def _ribbon(ends: np.ndarray, halves: np.ndarray, lifts: np.ndarray, thick: floa
     x = np.linspace(ends[0], ends[-1], 65)
     low = _ease(x, ends, lifts)
     half = _ease(x, ends, halves)
-    side = cad.upright(
-        np.column_stack([np.append(x, x[::-1]), np.append(low, low[::-1] + thick)]), 1.0
-    )
-    plan = cad.extrude(
+    side = upright(np.column_stack([np.append(x, x[::-1]), np.append(low, low[::-1] + thick)]), 1.0)
+    plan = extrude(
         np.column_stack([np.append(x, x[::-1]), np.append(-half, half[::-1])]), 0.2, -0.1
     )
     return side ^ plan
@@ -622,12 +603,12 @@ def _slab(
     return part.hull(corners)
 
 
-def knife(rng: Rng = None) -> Shape:
+def knife(vary: Draw) -> Shape:
     """A chef's knife lying on its side, blade and handle flat on the table."""
-    blade = vary(rng, 0.195, 0.15)
-    grip = vary(rng, 0.125, 0.08)
-    heel = vary(rng, 0.046, 0.15)
-    height = vary(rng, 0.017, 0.1)
+    blade = vary(0.195, 0.15)
+    grip = vary(0.125, 0.08)
+    heel = vary(0.046, 0.15)
+    height = vary(0.017, 0.1)
     spine = 0.012
     belly = [
         (blade, spine - 0.004),
@@ -635,26 +616,23 @@ def knife(rng: Rng = None) -> Shape:
         (0.62 * blade, spine - 0.80 * heel),
     ]
     belly += [(0.35 * blade, spine - 0.96 * heel), (0.0, spine - heel)]
-    edge = cad.smooth_path(belly, 24)
+    edge = smooth_path(belly, 24)
     outline = np.concatenate([[(-0.012, spine), (0.70 * blade, spine)], edge, [(-0.012, -0.012)]])
-    flat = cad.extrude(outline, 0.0024)
-    handle = cad.above(
-        cad.rounded_box((grip, 0.026, height), 0.005, (-grip / 2 - 0.004, 0.0), z=-0.0016)
-    )
-    handle = handle ^ cad.box((1.0, 1.0, 1.0))
+    flat = extrude(outline, 0.0024)
+    handle = above(rounded_box((grip, 0.026, height), 0.005, (-grip / 2 - 0.004, 0.0), z=-0.0016))
+    handle = handle ^ box((1.0, 1.0, 1.0))
     spots = [(-0.2 * grip, 0.0), (-0.5 * grip, 0.0), (-0.8 * grip, 0.0)]
-    rivets = cad.union(
-        *(cad.cylinder(0.0036, height - 0.003, 0.0018, center=spot, segments=20) for spot in spots)
+    rivets = union(
+        *(cylinder(0.0036, height - 0.003, 0.0018, center=spot, segments=20) for spot in spots)
     )
-    steel = shade(rng, STEELS[:2], 0.03)
+    steel = vary.color(*STEELS[:2], spread=0.03)
     top = height - 0.0016
     return assemble(
-        name="knife",
         label="chef's knife",
         pieces=(
-            (cad.difference(flat, handle), steel),
-            (handle, shade(rng, GRIPS, 0.03)),
-            (cad.difference(rivets, handle), steel),
+            (difference(flat, handle), steel),
+            (handle, vary.color(*GRIPS, spread=0.03)),
+            (difference(rivets, handle), steel),
         ),
         parts=(
             part.prism(
@@ -663,20 +641,18 @@ def knife(rng: Rng = None) -> Shape:
             part.prism([(0.70 * blade, spine), *belly[:2]], 0.0024),
             part.box((grip, 0.026, top), (-grip / 2 - 0.004, 0.0)),
         ),
-        mass=vary(rng, 0.23, 0.15),
+        mass=vary(0.23, 0.15),
     )
 
 
-def wooden_spoon(rng: Rng = None) -> Shape:
+def wooden_spoon(vary: Draw) -> Shape:
     """A cooking spoon with a flat underside, its bowl at +x."""
-    length = vary(rng, 0.290, 0.12)
-    reach = vary(rng, 0.040, 0.12)
-    half = vary(rng, 0.028, 0.12)
-    radius = vary(rng, 0.0062, 0.12)
+    length = vary(0.290, 0.12)
+    reach = vary(0.040, 0.12)
+    half = vary(0.028, 0.12)
+    radius = vary(0.0062, 0.12)
     center = length / 2 - reach
-    bowl = cad.above(
-        Manifold.sphere(1.0, 48).scale((reach, half, 0.017)).translate((center, 0, 0.009))
-    )
+    bowl = above(Manifold.sphere(1.0, 48).scale((reach, half, 0.017)).translate((center, 0, 0.009)))
     bowl = bowl.trim_by_plane((0, 0, -1), -0.016)
     scoop = (
         Manifold.sphere(1.0, 40)
@@ -684,67 +660,59 @@ def wooden_spoon(rng: Rng = None) -> Shape:
         .translate((center, 0, 0.0188))
     )
     ends = ((-length / 2, 1.15 * radius), (center - 0.5 * reach, radius))
-    stick = Manifold.hull(cad.union(*(_rod_end(x, size) for x, size in ends)))
+    stick = Manifold.hull(union(*(_rod_end(x, size) for x, size in ends)))
     rings = [(0.82, 0.0, 4), (0.86, part.LIFT, 8), (1.0, 0.009, 8), (0.91, 0.016, 8)]
-    corners = [
-        np.column_stack([cad.ellipse(s * reach, s * half, n), np.full(n, z)]) for s, z, n in rings
-    ]
+    corners = [at_height(ellipse(s * reach, s * half, n), z) for s, z, n in rings]
     grip = [(x, y, z) for x, size in ends for y, z in _rod_corners(size)]
     return assemble(
-        name="wooden_spoon",
-        pieces=((cad.difference(cad.union(bowl, stick), scoop), shade(rng, WOODS)),),
+        pieces=((difference(union(bowl, stick), scoop), vary.color(*WOODS)),),
         parts=(part.hull(np.concatenate(corners) + np.array([center, 0, 0])), part.hull(grip)),
-        mass=vary(rng, 0.045, 0.2),
+        mass=vary(0.045, 0.2),
     )
 
 
 def _rod_end(x: float, radius: float) -> Manifold:
     """A short round piece of a rod along x, cut flat at z = 0."""
     disc = (
-        cad.cylinder(radius, 0.002, segments=24)
+        cylinder(radius, 0.002, segments=24)
         .rotate((0, 90, 0))
         .translate((x - 0.001, 0, 0.7 * radius))
     )
-    return cad.above(disc)
+    return above(disc)
 
 
-def _rod_corners(radius: float) -> cad.Points2:
+def _rod_corners(radius: float) -> Points2:
     """The section of such a rod as a polygon in (y, z)."""
     right = [(0.71 * radius, 0.0), (radius, 0.7 * radius), (0.5 * radius, 1.62 * radius)]
     return [*right, *((-y, z) for y, z in reversed(right))]
 
 
-def cutting_board(rng: Rng = None) -> Shape:
+def cutting_board(vary: Draw) -> Shape:
     """A wooden board with a juice groove and a handle with a hole at its +x end."""
-    width = vary(rng, 0.270, 0.15)
-    depth = vary(rng, 0.190, 0.15)
-    thick = vary(rng, 0.018, 0.2)
-    handle = vary(rng, 0.085, 0.15)
-    span = vary(rng, 0.062, 0.12)
+    width = vary(0.270, 0.15)
+    depth = vary(0.190, 0.15)
+    thick = vary(0.018, 0.2)
+    handle = vary(0.085, 0.15)
+    span = vary(0.062, 0.12)
     reach = width / 2 + handle
     tongue, tip = (
-        cad.rounded_rect(handle + more, span, 0.45 * span, num)
+        rounded_rect(handle + more, span, 0.45 * span, num)
         + np.array([reach - (handle + more) / 2, 0.0])
         for more, num in ((0.06, 10), (0.01, 2))
     )
-    board = cad.union(
-        cad.extrude(cad.rounded_rect(width, depth, 0.018), thick), cad.extrude(tongue, thick)
-    )
-    inner, outer = (cad.rounded_rect(width - gap, depth - gap, 0.014) for gap in (0.040, 0.028))
-    groove = cad.difference(
-        cad.extrude(outer, 0.01, thick - 0.003), cad.extrude(inner, 0.01, thick - 0.003)
-    )
-    hole = cad.cylinder(0.22 * span, 0.1, -0.01, center=(reach - 0.45 * span, 0.0))
-    wood = shade(rng, WOODS)
-    stripe = choose(rng, (0.28, -0.28, 0.0)) * depth
-    band = cad.difference(cad.box((width, 0.10 * depth, thick), (0.0, stripe)) ^ board, groove)
+    board = union(extrude(rounded_rect(width, depth, 0.018), thick), extrude(tongue, thick))
+    inner, outer = (rounded_rect(width - gap, depth - gap, 0.014) for gap in (0.040, 0.028))
+    groove = difference(extrude(outer, 0.01, thick - 0.003), extrude(inner, 0.01, thick - 0.003))
+    hole = cylinder(0.22 * span, 0.1, -0.01, center=(reach - 0.45 * span, 0.0))
+    wood = vary.color(*WOODS)
+    stripe = vary.choose(0.28, -0.28, 0.0) * depth
+    band = difference(box((width, 0.10 * depth, thick), (0.0, stripe)) ^ board, groove)
     dark = tuple(0.62 * channel for channel in wood)
     return assemble(
-        name="cutting_board",
         pieces=(
-            (cad.difference(board, groove, hole, band), wood),
+            (difference(board, groove, hole, band), wood),
             (band, (dark[0], dark[1], dark[2])),
         ),
         parts=(part.box((width, depth, thick)), part.prism(tip, thick - RAISE, RAISE)),
-        mass=thick * (width * depth + handle * span) * vary(rng, 650.0, 0.1),
+        mass=thick * (width * depth + handle * span) * vary(650.0, 0.1),
     )

@@ -6,34 +6,42 @@ A part is a `Mesh.points`: the hull of its vertices is meant, and every vertex i
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from manifold3d import Manifold
-from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.config import MAX_PART_VERTICES
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.modeller.solids import Points2, ellipse, section_rings, to_mesh
+from cluttergen_jax.assets.modeller.solids import (
+    Points2,
+    ellipse,
+    join_points,
+    section_rings,
+    to_mesh,
+)
+from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.errors import AssetError
+from cluttergen_jax.geometry import at_height
 
 # More than what a body dropped from a few millimetres sinks in when it lands: then only the feet touch.
 LIFT = 0.0012
 
 
-def hull(points: Sequence[Sequence[float]] | np.ndarray) -> Mesh:
-    """The convex hull of points f64[N, 3], reduced to its corners.
+def hull(*points: Sequence[Sequence[float]] | np.ndarray) -> Mesh:
+    """The convex hull of one or several sets of points f64[N, 3], reduced to its corners.
 
     Raises:
       AssetError: the points are flat, or their hull has more than 32 corners.
     """
-    cloud = np.asarray(points, np.float64).reshape(-1, 3)
-    try:
-        corners = cloud[np.sort(ConvexHull(cloud).vertices)]
-    except QhullError as error:
+    cloud = join_points(points)
+    found = hull_of(cloud)
+    if found is None:
         raise AssetError(
             f"{len(cloud)} points without volume", "points that span a solid", "a thicker part"
-        ) from error
+        )
+    corners = cloud[np.sort(found.vertices)]
     if len(corners) > MAX_PART_VERTICES:
         raise AssetError(
             f"a part with {len(corners)} corners",
@@ -49,19 +57,15 @@ def box(size: Sequence[float], center: Sequence[float] = (0, 0), z: float = 0.0)
     return hull(signs * np.asarray(size) + np.array([center[0], center[1], z]))
 
 
-def prism(polygon: Points2, height: float, z: float = 0.0, top: float = 1.0) -> Mesh:
-    """The hull of a polygon drawn up from `z` to `z + height`; `top` scales its upper outline."""
-    outline = np.asarray(polygon, np.float64)
-    low = np.column_stack([outline, np.full(len(outline), z)])
-    high = np.column_stack([outline * top, np.full(len(outline), z + height)])
-    return hull(np.concatenate([low, high]))
+def prism(polygon: Points2, height: float, z: float = 0.0) -> Mesh:
+    """The hull of a polygon drawn up from `z` to `z + height`."""
+    return hull(at_height(polygon, z), at_height(polygon, z + height))
 
 
 def disc(
     profile: Points2,
     num: int = 12,
     phase: float = 0.0,
-    center: Sequence[float] = (0, 0),
     is_standing: bool = False,
 ) -> Mesh:
     """A solid of revolution as a polygon of `num` sides.
@@ -70,50 +74,39 @@ def disc(
       profile: (radius, z) points that bulge outwards, such as [(r, 0), (r, h)]; a radius of 0 is one apex.
       num: corners per ring; `num` times the number of rings is at most 32.
       phase: radians; a corner lies on the x axis turned by this.
-      center: where its axis stands.
       is_standing: the lowest ring touches the table with four corners only; the others end `LIFT` higher.
         A simulator keeps four contacts between two faces. Where a face has more corners its choice may change
         from step to step, and something tall and light then trembles without end.
     """
-    feet: list[np.ndarray] = []
+    rings: list[np.ndarray] = []
     if is_standing:
         (radius, low), *others = profile
-        feet = [_ring(radius, low, 4, phase)]
+        rings = [_ring(radius, low, 4, phase)]
         profile = [(radius, low + LIFT), *others]
-    rings = [
-        _ring(radius, z, num, phase) if radius > 0 else [[0.0, 0.0, z]] for radius, z in profile
-    ]
-    return hull(np.concatenate([*feet, *rings]) + np.array([center[0], center[1], 0.0]))
+    for radius, z in profile:
+        rings.append(_ring(radius, z, num if radius > 0 else 1, phase))
+    return hull(np.concatenate(rings) + 0.0)
 
 
-def ring_sectors(
-    profile: Points2,
-    num: int = 8,
-    phase: float = 0.0,
-    start: float = 0.0,
-    stop: float = 2 * np.pi,
-    center: Sequence[float] = (0, 0),
-) -> tuple[Mesh, ...]:
+def facing(radius: float, depth: float, num: int, center: Sequence[float] = (0, 0)) -> Mesh:
+    """A disc that faces the front (-y): its centre at (x, z), half of its depth on either side of y = 0."""
+    upright_disc = disc([(radius, -depth / 2), (radius, depth / 2)], num)
+    return rotate_part(upright_disc, (90, 0, 0), (center[0], 0, center[1]))
+
+
+def ring_sectors(profile: Points2, num: int = 8, phase: float = 0.0) -> tuple[Mesh, ...]:
     """The wall of a cup, a bowl or a ring, as convex wedges.
 
     Args:
       profile: the wall's section, a convex outline of (radius, z) points, all radii positive.
-      num: wedges between the angles `start` and `stop`; corners lie on the true circle.
+      num: wedges; corners lie on the true circle.
       phase: radians added to all angles.
-      center: where the axis stands.
     """
-    angles = np.linspace(start, stop, num + 1) + phase
-    outline = np.asarray(profile, np.float64)
-    shift = np.array([center[0], center[1], 0.0])
-    edges = [
-        np.column_stack([outline[:, 0] * np.cos(a), outline[:, 0] * np.sin(a), outline[:, 1]])
-        + shift
-        for a in angles
-    ]
-    if np.isclose(stop - start, 2 * np.pi):
-        # sin(2 pi) is not quite 0: a gap, however fine, would show up as two more faces
-        edges[-1] = edges[0]
-    return tuple(hull(np.concatenate([edges[k], edges[k + 1]])) for k in range(num))
+    radius, z = np.asarray(profile, np.float64).T
+    angles = np.linspace(0.0, 2 * np.pi, num + 1)[:-1] + phase
+    edges = [np.column_stack([radius * np.cos(a), radius * np.sin(a), z]) + 0.0 for a in angles]
+    edges.append(edges[0])
+    return tuple(hull(*pair) for pair in pairwise(edges))
 
 
 def sweep(
@@ -130,7 +123,7 @@ def sweep(
     """
     outline = ellipse(section, section, 6) if isinstance(section, int | float) else section
     rings = section_rings(path, outline, side, scales)
-    return tuple(hull(np.concatenate([rings[k], rings[k + 1]])) for k in range(len(rings) - 1))
+    return tuple(hull(*pair) for pair in pairwise(rings))
 
 
 def thin_path(path: np.ndarray, num_cells: int, bulge: float = 0.0) -> np.ndarray:
@@ -155,7 +148,7 @@ def upright(outline: Points2, depth: float, y: float = 0.0) -> Mesh:
         np.column_stack([flat[:, 0], np.full(len(flat), y + s * depth), flat[:, 1]])
         for s in (-0.5, 0.5)
     ]
-    return hull(np.concatenate(faces))
+    return hull(*faces)
 
 
 def ball(radius: float, center: Sequence[float]) -> Mesh:
@@ -185,4 +178,4 @@ def rotate_part(part: Mesh, degrees: Sequence[float], shift: Sequence[float] = (
 def _ring(radius: float, z: float, num: int, phase: float) -> np.ndarray:
     """`num` points on a circle, f64[num, 3]."""
     angles = np.linspace(0.0, 2 * np.pi, num, endpoint=False) + phase
-    return np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(num, z)], -1)
+    return at_height(np.stack([radius * np.cos(angles), radius * np.sin(angles)], -1), z)

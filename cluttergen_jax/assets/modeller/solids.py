@@ -7,6 +7,7 @@ made by the functions of the same spirit in `parts.py`.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import manifold3d
@@ -15,6 +16,7 @@ from manifold3d import CrossSection, Manifold
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.solid import as_manifold
 from cluttergen_jax.errors import AssetError
 
 Points2 = Sequence[tuple[float, float]] | np.ndarray
@@ -54,9 +56,19 @@ def revolve(profile: Points2, segments: int = SEGMENTS) -> Manifold:
     return Manifold.revolve(_section(profile), segments)
 
 
-def extrude(polygon: Points2, height: float, z: float = 0.0, top: float = 1.0) -> Manifold:
-    """A prism from `z` to `z + height`; `top` scales its upper outline about the origin."""
-    return Manifold.extrude(_section(polygon), height, scale_top=(top, top)).translate((0, 0, z))
+def lathe(profile: Points2) -> Manifold:
+    """The body of revolution whose outside is a profile of (radius, z) points, closed level at both ends."""
+    return revolve([(0.0, profile[0][1]), *profile, (0.0, profile[-1][1])])
+
+
+def pipe(inner: float, outer: float, low: float, high: float, segments: int = SEGMENTS) -> Manifold:
+    """A ring of rectangular section around the z axis."""
+    return revolve([(inner, low), (outer, low), (outer, high), (inner, high)], segments)
+
+
+def extrude(polygon: Points2, height: float, z: float = 0.0) -> Manifold:
+    """A prism from `z` to `z + height`."""
+    return Manifold.extrude(_section(polygon), height).translate((0, 0, z))
 
 
 def box(size: Sequence[float], center: Sequence[float] = (0, 0), z: float = 0.0) -> Manifold:
@@ -142,21 +154,16 @@ def sweep(
     rings = section_rings(path, section, side, scales)
     num_stations, num_corners = rings.shape[:2]
     index = np.arange(num_stations * num_corners).reshape(num_stations, num_corners)
+    following = np.roll(index, -1, 1)
     a = index[:-1]
-    b = np.roll(index, -1, 1)[:-1]
+    b = following[:-1]
     c = index[1:]
-    d = np.roll(index, -1, 1)[1:]
+    d = following[1:]
     walls = np.concatenate([np.stack([a, b, d], -1), np.stack([a, d, c], -1)]).reshape(-1, 3)
-    fan = np.stack(
-        [np.zeros(num_corners - 2), np.arange(1, num_corners - 1), np.arange(2, num_corners)], -1
-    )
-    fan = fan.astype(np.int64)
+    second = np.arange(1, num_corners - 1)
+    fan = np.stack([0 * second, second, second + 1], -1)
     faces = np.concatenate([walls, index[0][fan[:, ::-1]], index[-1][fan]])
-    mesh = manifold3d.Mesh64(
-        vert_properties=np.ascontiguousarray(rings.reshape(-1, 3)),
-        tri_verts=np.ascontiguousarray(faces, np.uint64),
-    )
-    return Manifold(mesh)
+    return as_manifold(Mesh(rings, faces))
 
 
 def tube(
@@ -218,14 +225,24 @@ def difference(solid: Manifold, *tools: Manifold) -> Manifold:
     return Manifold.batch_boolean([solid, *tools], manifold3d.OpType.Subtract)
 
 
-def above(solid: Manifold, z: float = 0.0) -> Manifold:
-    """What of a solid lies above height `z`: gives anything a flat face to rest on."""
-    return solid.trim_by_plane((0, 0, 1), z)
+def above(solid: Manifold) -> Manifold:
+    """What of a solid lies above z = 0: gives anything a flat face to rest on."""
+    return solid.trim_by_plane((0, 0, 1), 0.0)
 
 
-def hull(points: Sequence[Sequence[float]] | np.ndarray) -> Manifold:
-    """The convex solid spanned by points f64[N, 3]."""
-    return Manifold.hull_points(np.asarray(points, np.float64).reshape(-1, 3))
+def hull(*points: Sequence[Sequence[float]] | np.ndarray) -> Manifold:
+    """The convex solid spanned by one or several sets of points f64[N, 3]."""
+    return Manifold.hull_points(join_points(points))
+
+
+def join_points(sets: Sequence[Sequence[Sequence[float]] | np.ndarray]) -> np.ndarray:
+    """f64[N, 3]: the points of all sets."""
+    return np.concatenate([np.asarray(each, np.float64).reshape(-1, 3) for each in sets])
+
+
+def arc(turns: np.ndarray, across: float, rise: float) -> np.ndarray:
+    """f64[N, 3]: points of an arch in the xz plane, half axes `across` and `rise`, angles from x to z."""
+    return np.column_stack([across * np.cos(turns), 0 * turns, rise * np.sin(turns)])
 
 
 def upright(outline: Points2, depth: float, y: float = 0.0) -> Manifold:
@@ -240,3 +257,74 @@ def _section(polygon: Points2) -> CrossSection:
     if np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) < 0:
         points = points[::-1]
     return CrossSection([points])
+
+
+_RELIEF = 0.0006
+"""Metres, of letters; as much again is sunk below the plane, to join what they stand on."""
+
+# Five rows of each letter, top to bottom; a mark is a filled cell.
+_GLYPHS = {
+    "A": " ## |#  #|####|#  #|#  #",
+    "B": "### |#  #|### |#  #|### ",
+    "C": " ###|#   |#   |#   | ###",
+    "D": "### |#  #|#  #|#  #|### ",
+    "E": "####|#   |### |#   |####",
+    "F": "####|#   |### |#   |#   ",
+    "I": "###| # | # | # |###",
+    "L": "#   |#   |#   |#   |####",
+    "N": "#  #|## #|# ##|#  #|#  #",
+    "O": " ## |#  #|#  #|#  #| ## ",
+    "P": "### |#  #|### |#   |#   ",
+    "S": " ###|#   | ## |   #|### ",
+    "T": "#####|  #  |  #  |  #  |  #  ",
+    "U": "#  #|#  #|#  #|#  #| ## ",
+    "X": "#   #| # # |  #  | # # |#   #",
+    "0": "####|#  #|#  #|#  #|####",
+    "1": " # |## | # | # |###",
+    "2": "### |   #| ## |#   |####",
+    "3": "### |   #| ## |   #|### ",
+    "4": "#  #|#  #|####|   #|   #",
+    "5": "####|#   |### |   #|### ",
+    "7": "####|   #|  # | #  | #  ",
+    "8": "####|#  #|####|#  #|####",
+    "9": "####|#  #|####|   #|####",
+    ":": " |#| |#| ",
+    " ": "  |  |  |  |  ",
+}
+
+
+def lettering(text: str, height: float) -> Manifold:
+    """Words in relief on the plane z = 0, read along x with y up, centred on the origin.
+
+    Args:
+      text: of letters that are drawn above.
+      height: metres, of a letter.
+    """
+    cell = height / 5
+    bars = []
+    pen = 0
+    for glyph in (_GLYPHS[letter].split("|") for letter in text):
+        for row, line in enumerate(glyph):
+            bars += [
+                # Cells reach a little over their neighbours, so that letters are joined at corners too.
+                box(
+                    (cell * (len(run) + 0.1), cell * 1.1, 2 * _RELIEF),
+                    (cell * (pen + start + len(run) / 2), cell * (4.5 - row)),
+                    -_RELIEF,
+                )
+                for start, run in _runs(line)
+            ]
+        pen += len(glyph[0]) + 1
+    return union(*bars).translate((-cell * (pen - 1) / 2, -height / 2, 0.0))
+
+
+def _runs(line: str) -> list[tuple[int, str]]:
+    """The filled stretches of a row: where each starts, and its cells."""
+    runs = []
+    start = 0
+    for mark, cells in itertools.groupby(line):
+        run = "".join(cells)
+        if mark == "#":
+            runs.append((start, run))
+        start += len(run)
+    return runs

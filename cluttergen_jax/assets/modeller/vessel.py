@@ -16,6 +16,9 @@ from cluttergen_jax.assets.shape import Cavity
 
 Profile = Sequence[tuple[float, float]]
 
+_SWELL = 1.02
+"""How much wider walls are: a polygon in a circle takes room from the cavity, one halfway outside less."""
+
 
 @dataclass(frozen=True)
 class Vessel:
@@ -39,35 +42,24 @@ class Vessel:
         """The height of the rim's plane."""
         return float(self.outer[-1][1])
 
-    def solid(self, segments: int = cad.SEGMENTS) -> Manifold:
+    def solid(self) -> Manifold:
         """The wall and the floor."""
-        outline = [(0.0, self.outer[0][1]), *self.outer, *reversed(self.inner), (0.0, self.floor)]
-        return cad.revolve(outline, segments)
+        return cad.lathe([*self.outer, *reversed(self.inner)])
 
-    def layers(self, thickness: float, segments: int = cad.SEGMENTS) -> tuple[Manifold, Manifold]:
+    def layers(self, thickness: float) -> tuple[Manifold, Manifold]:
         """The solid in two closed shells, outside and lining, for two colours."""
-        grown = [
-            (0.0, self.floor - thickness),
-            *((r + thickness, z - thickness) for r, z in self.inner),
-        ]
-        tool = cad.revolve(
-            [*grown, (grown[-1][0], self.rim + 1.0), (0.0, self.rim + 1.0)], segments
-        )
-        whole = self.solid(segments)
+        grown = [(r + thickness, z - thickness) for r, z in self.inner]
+        tool = cad.lathe([*grown, (grown[-1][0], self.rim + 1.0)])
+        whole = self.solid()
         return whole - tool, whole ^ tool
 
-    def inside(self, segments: int = cad.SEGMENTS) -> Manifold:
+    def inside(self) -> Manifold:
         """The space inside, open upwards: what has to be cut from handles that reach through the wall."""
-        radius = self.inner[-1][0]
-        return cad.revolve(
-            [(0.0, self.floor), *self.inner, (radius, self.rim + 1.0), (0.0, self.rim + 1.0)],
-            segments,
-        )
+        return cad.lathe([*self.inner, (self.inner[-1][0], self.rim + 1.0)])
 
-    def cavity(self, segments: int = cad.SEGMENTS) -> Cavity:
+    def cavity(self) -> Cavity:
         """The space inside, up to the rim's plane."""
-        inside = cad.revolve([(0.0, self.floor), *self.inner, (0.0, self.rim)], segments)
-        return Cavity(cad.to_mesh(inside), (0.0, 0.0, self.rim))
+        return Cavity(cad.to_mesh(cad.lathe(self.inner)), (0.0, 0.0, self.rim))
 
     def outer_radius(self, z: float) -> float:
         """The radius of the outside at height z."""
@@ -77,27 +69,24 @@ class Vessel:
         """The radius of the inside at height z, at or above the floor."""
         return float(np.interp(z, [p[1] for p in self.inner], [p[0] for p in self.inner]))
 
-    def parts(
-        self, num: int = 8, cuts: Sequence[float] = (), phase: float = 0.0, swell: float = 1.02
-    ) -> tuple[Mesh, ...]:
+    def parts(self, num: int, cuts: Sequence[float] = ()) -> tuple[Mesh, ...]:
         """One floor disc and rows of `num` wall wedges, rows parted at the heights `cuts`.
 
-        Only the disc reaches the table, so that a body has one flat face to stand on. `swell` widens the
-        walls: a polygon inside a circle takes room from the cavity, one halfway outside takes less.
+        Only the disc reaches the table, so that a body has one flat face to stand on.
         """
-        disc = [(self.outer_radius(z), z) for z in (self.outer[0][1], self.floor)]
-        heights = [self.floor, *cuts, self.rim]
-        rows = [self._row(low, high, swell) for low, high in itertools.pairwise(heights)]
-        walls = [wedge for row in rows for wedge in part.ring_sectors(row, num, phase)]
-        return (part.disc(disc, num if num >= 10 else 12, phase, is_standing=True), *walls)
+        base = [(self.outer_radius(z), z) for z in (self.outer[0][1], self.floor)]
+        found = [part.disc(base, num if num >= 10 else 12, is_standing=True)]
+        for low, high in itertools.pairwise([self.floor, *cuts, self.rim]):
+            found += part.ring_sectors(self._row(low, high), num)
+        return tuple(found)
 
-    def _row(self, low: float, high: float, swell: float) -> list[tuple[float, float]]:
+    def _row(self, low: float, high: float) -> list[tuple[float, float]]:
         """The section of the wall between two heights; its foot is sunk a little into what lies below."""
         sunk = low - min(0.5 * (self.floor - self.outer[0][1]), 0.002)
         heights = np.linspace(low, high, 4)
         outside = [(self.outer_radius(z), float(z)) for z in (sunk, *heights)]
         inside = [(self.inner_radius(z), float(z)) for z in (low, high)]
-        return [(swell * radius, z) for radius, z in (*outside, *inside)]
+        return [(_SWELL * radius, z) for radius, z in (*outside, *inside)]
 
 
 @dataclass(frozen=True)
@@ -126,27 +115,24 @@ class Crate:
             [(-half_x, -half_y, z), (half_x, -half_y, z), (half_x, half_y, z), (-half_x, half_y, z)]
         )
 
-    def _inside(self, low: float, high: float) -> Manifold:
-        """The space between the walls from one height to another."""
-        return cad.hull(np.concatenate([self.outline(z, self.wall) for z in (low, high)]))
+    def _inside(self, high: float) -> Manifold:
+        """The space between the walls from the floor up to a height."""
+        return cad.hull(self.outline(self.floor, self.wall), self.outline(high, self.wall))
 
     def solid(self) -> Manifold:
         """Floor and walls."""
-        block = cad.hull(np.concatenate([self.outline(0.0), self.outline(self.height)]))
-        return block - self._inside(self.floor, self.height * 1.2)
+        block = cad.hull(self.outline(0.0), self.outline(self.height))
+        return block - self._inside(self.height * 1.2)
 
-    def cavity(self, low: float | None = None) -> Cavity:
-        """The space inside, from the floor (or from `low`) up to the rim's plane."""
-        inside = self._inside(self.floor if low is None else low, self.height)
+    def cavity(self) -> Cavity:
+        """The space inside, up to the rim's plane."""
+        inside = self._inside(self.height)
         return Cavity(cad.to_mesh(inside), (0.0, 0.0, self.height))
 
     def parts(self) -> tuple[Mesh, ...]:
         """A floor and four walls; only the floor reaches the table."""
         floor = part.box((self.width, self.depth, self.floor))
         low = self.floor / 2
-        rings = [self.outline(low), self.outline(self.height)]
-        rings += [self.outline(low, self.wall), self.outline(self.height, self.wall)]
-        walls = [
-            part.hull(np.concatenate([ring[[k, (k + 1) % 4]] for ring in rings])) for k in range(4)
-        ]
+        rings = [self.outline(z, inset) for inset in (0.0, self.wall) for z in (low, self.height)]
+        walls = [part.hull(*[ring[[k, (k + 1) % 4]] for ring in rings]) for k in range(4)]
         return (floor, *walls)

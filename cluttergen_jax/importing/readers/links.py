@@ -12,8 +12,7 @@ from PIL import Image
 
 from cluttergen_jax.assets.mass import MassProperties, combine_masses
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.texture import Texture
+from cluttergen_jax.assets.shape import Piece, Texture
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import primitives
 from cluttergen_jax.importing.readers.materials import GREY, Rgba

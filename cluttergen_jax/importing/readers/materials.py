@@ -11,8 +11,7 @@ import numpy as np
 from PIL import Image
 
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.texture import Texture
+from cluttergen_jax.assets.shape import Piece, Texture
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers.gltf import (
     extension_notes,

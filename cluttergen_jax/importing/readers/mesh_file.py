@@ -28,8 +28,7 @@ from PIL import Image
 
 from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.texture import Texture
+from cluttergen_jax.assets.shape import Piece, Texture
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.files import MOST_WORDS
 from cluttergen_jax.geometry import plane_axes, triangle_areas

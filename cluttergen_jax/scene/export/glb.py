@@ -14,9 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.assets.shading import collision_pieces, linear, shade
-from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.texture import Texture
+from cluttergen_jax.assets.shading import linear, shade
+from cluttergen_jax.assets.shape import Piece, Texture
 from cluttergen_jax.scene import FixedCamera, Scene
 from cluttergen_jax.scene.export.frames import friction_of
 from cluttergen_jax.scene.export.meshes import drawn_pieces
@@ -46,7 +45,7 @@ class _Builder:
         self._images: dict[Texture, int] = {}
 
     def of(self, scene: Scene) -> bytes:
-        solids = collision_pieces(scene.support)
+        solids = scene.support.collision_pieces
         supports = scene.support.pieces or solids
         boxes = [Piece(piece.mesh, _PART_RGBA) for piece in solids]
         drawn = {

@@ -11,7 +11,6 @@ import numpy as np
 
 from cluttergen_jax.assets.obj import part_name
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.shading import collision_pieces
 from cluttergen_jax.assets.support import PART_RGBA, SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.geometry import transform_points, yaw_quaternion
@@ -32,7 +31,7 @@ def scene_bounds(scene: Scene) -> np.ndarray:
 
     Robots are put beside it: an object may reach beyond the support.
     """
-    points = [piece.mesh.vertices for piece in collision_pieces(scene.support)]
+    points = [piece.mesh.vertices for piece in scene.support.collision_pieces]
     for asset, pose in zip(scene.objects, scene.poses, strict=True):
         points += [transform_points(pose, part.vertices) for part in asset.parts]
     corners = np.concatenate(points)
