@@ -43,8 +43,14 @@ from cluttergen_jax.placement.config import (
     RUIN_AFTER,
     PlacementConfig,
 )
-from cluttergen_jax.placement.methods.own import OwnMethod
-from cluttergen_jax.placement.methods.table import TARGETS, TRUSTED, entry_of, find_method, takers
+from cluttergen_jax.placement.methods.table import (
+    TARGETS,
+    TRUSTED,
+    OwnMethod,
+    entry_of,
+    find_method,
+    takers,
+)
 from cluttergen_jax.placement.relations import conditions_of, parse_relations, parse_roles
 
 # What reads assets is imported where it is needed: this module is all that a command's `--help` loads.

@@ -4,7 +4,7 @@ The support of a body is the convex polygon of the points at which something bel
 the centre of mass lies over it, gravity tips nothing; the nearer it is to an edge, the smaller a push, a tilt
 or another simulator's error has to be to do so.
 
-`support_margin` takes one set of points in a few microseconds; `mjx_scenes.support_margins` is its like
+`support_margin` takes one set of points in a few microseconds; `mjx.support_margins` is its like
 for a batch in JAX.
 """
 

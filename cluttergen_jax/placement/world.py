@@ -21,7 +21,7 @@ from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.margin import support_margin
-from cluttergen_jax.placement.support_map import map_of_surfaces
+from cluttergen_jax.placement.heightmap import map_of_surfaces
 from cluttergen_jax.placement.types import Geometry, Orientations
 
 MAX_OBJECTS = 200

@@ -28,7 +28,7 @@ from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.evaluation.machine import machine, sentence
-from cluttergen_jax.physics.mjx_scenes import room_for
+from cluttergen_jax.physics.mjx import room_for
 from cluttergen_jax.placement.world import make_world
 from studies.benchmarks import gpu_engines, gpu_training
 from studies.benchmarks.bodies import box

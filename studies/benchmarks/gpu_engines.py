@@ -14,8 +14,7 @@ import numpy as np
 
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.generation import make_sampler
-from cluttergen_jax.physics.mjx import MjxPhysics
-from cluttergen_jax.physics.mjx_scenes import WarpOptions
+from cluttergen_jax.physics.mjx import MjxPhysics, WarpOptions
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, Rollout
 from cluttergen_jax.placement.world import World

@@ -15,7 +15,7 @@ from cluttergen_jax.evaluation.resolved import MissingRowError
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.numerics import new_key
-from cluttergen_jax.placement.rollout.record import Recorder, rectangle_of
+from cluttergen_jax.placement.rollout import Recorder, rectangle_of
 from cluttergen_jax.rendering.assets import close_points, render_scene
 from cluttergen_jax.rendering.figure import closed_loop_figure
 from cluttergen_jax.rendering.gl import renderer_status

@@ -10,8 +10,7 @@ import pytest
 
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.physics import make_physics
-from cluttergen_jax.physics.mjx import MjxPhysics
-from cluttergen_jax.physics.mjx_scenes import WarpOptions
+from cluttergen_jax.physics.mjx import MjxPhysics, WarpOptions
 from cluttergen_jax.types import Verdict
 from tests.helpers.worlds import TOP, box, layout_of, prism, scene, tilted, trio
 

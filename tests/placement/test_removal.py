@@ -17,11 +17,9 @@ from cluttergen_jax.placement.config import MAX_MARGIN, ORDER_POWER, PlacementCo
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.methods.table import make_proposer
 from cluttergen_jax.placement.problem import ProblemConfig, compose
-from cluttergen_jax.placement.rollout import BlockSampler
-from cluttergen_jax.placement.rollout.record import Recorder
-from cluttergen_jax.placement.rules import choose_removal, remove
+from cluttergen_jax.placement.rollout import BlockSampler, Recorder
+from cluttergen_jax.placement.rules import choose_removal, remove, supported_by
 from cluttergen_jax.placement.scenes import scene_of
-from cluttergen_jax.placement.support_graph import supported_by
 from cluttergen_jax.placement.types import Start
 from cluttergen_jax.types import Verdict
 from tests.helpers.problems import HalfTable, made_up_rules

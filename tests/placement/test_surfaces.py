@@ -13,8 +13,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.methods.baselines import LowestFit
 from cluttergen_jax.placement.problem import ProblemConfig, compose, region_of
-from cluttergen_jax.placement.search.fit import Candidates
-from cluttergen_jax.placement.search.search import FORBIDDEN
+from cluttergen_jax.placement.search import FORBIDDEN, Candidates
 from cluttergen_jax.placement.surface_set import check_surface
 from cluttergen_jax.scene.bank import read_bank, read_scenes
 from cluttergen_jax.sensing.partial import Grid

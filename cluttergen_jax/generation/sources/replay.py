@@ -18,9 +18,8 @@ from cluttergen_jax.learning.methods import Method, choose_method, sampler_of
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint
 from cluttergen_jax.placement.methods.table import BASELINES, entry_of
 from cluttergen_jax.placement.problem import ProblemConfig, Setup, Standing, make_setup
-from cluttergen_jax.placement.rollout import BLOCK_SIZE
-from cluttergen_jax.placement.rollout.record import Recorder
-from cluttergen_jax.placement.rollout.replay import Replay
+from cluttergen_jax.placement.replay import Replay
+from cluttergen_jax.placement.rollout import BLOCK_SIZE, Recorder
 from cluttergen_jax.placement.shelves import Shelves
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank

@@ -8,9 +8,9 @@ import flax.linen as nn
 import jax.numpy as jnp
 from flax import struct
 
+from cluttergen_jax.placement.candidate_sampler import CandidateSet
 from cluttergen_jax.placement.methods.baselines import costs_of_staying
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.search.candidate_sampler import CandidateSet
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 

@@ -20,13 +20,13 @@ from cluttergen_jax.learning.networks.stability import (
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint
 from cluttergen_jax.learning.ppo.checkpoint import read_policy
 from cluttergen_jax.numerics import new_key
-from cluttergen_jax.placement.methods.baselines import LowestFit
-from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.search.candidate_sampler import (
+from cluttergen_jax.placement.candidate_sampler import (
     CandidateConfig,
     CandidateSampler,
     CandidateSet,
 )
+from cluttergen_jax.placement.methods.baselines import LowestFit
+from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 

@@ -24,10 +24,10 @@ from cluttergen_jax.learning.networks.stability import (
 )
 from cluttergen_jax.learning.policies.guided import Guided
 from cluttergen_jax.numerics import new_key
+from cluttergen_jax.placement.candidate_sampler import CandidateSet
 from cluttergen_jax.placement.region import action_scale
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.search.candidate_sampler import CandidateSet
-from cluttergen_jax.placement.search.fit import Candidates
+from cluttergen_jax.placement.search import Candidates
 from cluttergen_jax.placement.types import Episode, Transition
 from cluttergen_jax.types import Array, Verdict
 

@@ -7,8 +7,7 @@ import jax.numpy as jnp
 
 from cluttergen_jax.placement.methods.baselines import LowestFit
 from cluttergen_jax.placement.region import action_of_pose, from_pose
-from cluttergen_jax.placement.search.fit import Candidates
-from cluttergen_jax.placement.search.search import CLEARANCE, FORBIDDEN
+from cluttergen_jax.placement.search import CLEARANCE, FORBIDDEN, Candidates
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 

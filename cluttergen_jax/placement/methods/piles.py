@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from cluttergen_jax.physics.host import HostPhysics, empty_settling
 from cluttergen_jax.placement.region import is_inside, is_kept_out, to_pose
-from cluttergen_jax.placement.rollout.run import BlockSampler
+from cluttergen_jax.placement.rollout import BlockSampler
 from cluttergen_jax.placement.types import Counts, Episode, Transition
 from cluttergen_jax.types import Array, Piling, Verdict
 
