@@ -89,7 +89,8 @@ def bearers_of(layout: Layout, data: mujoco.MjData, index: int) -> np.ndarray:
     lift = contact.frame[:, 2]
     carried, carrier = np.where(lift > 0, pair.T[::-1], pair.T)
     bears = np.zeros(layout.num_objects + 1, bool)
-    bears[carrier[(carried == index) & (np.abs(lift) >= MIN_LIFT) & (contact.dist < 0)]] = True
+    presses = (np.abs(lift) >= MIN_LIFT) & (contact.dist < 0)
+    bears[carrier[presses & (carried == index)]] = True
     return bears[:-1]
 
 
@@ -110,12 +111,10 @@ def margins_of(layout: Layout, data: mujoco.MjData, objects: np.ndarray) -> np.n
     carried[(np.abs(lift) < MIN_LIFT) | (contact.dist > 0)] = -1
     position = contact.pos[:, :2]
     centers = data.xipos[layout.body_index[objects], :2]
-    return np.array(
-        [
-            support_margin(position[carried == k] - center)
-            for k, center in zip(objects, centers, strict=True)
-        ]
-    )
+    margins = []
+    for index, center in zip(objects, centers, strict=True):
+        margins.append(support_margin(position[carried == index] - center))
+    return np.array(margins)
 
 
 class OverlapProbe:

@@ -2,8 +2,9 @@
 
 One `while_loop` steps the whole batch until every scene is decided; a decided scene is carried along unmoved.
 With Warp, large batches are compacted: once few scenes are left to be decided, those alone are stepped on.
-Overlaps at release and at rest, support margins and who bears whom are read in one pass over the contacts of
-both moments, once the loop has ended.
+Objects that are not placed, and those of decided scenes, are put back after every step, which is as good as
+weightless. Overlaps at release and at rest, support margins and who bears whom are read in one pass over the
+contacts of both moments, once the loop has ended.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.geometry import norm, rotate
 from cluttergen_jax.physics import stability
 from cluttergen_jax.physics.host import (
+    SUMS,
     OneScenePhysics,
     below_top,
     empty_settling,
@@ -37,7 +39,7 @@ from cluttergen_jax.physics.host import (
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.margin import MIN_LIFT, MIN_SHIFT
-from cluttergen_jax.physics.mjx_pairs import Pairs, faces_first
+from cluttergen_jax.physics.mjx_pairs import ConvexPairs, faces_first
 from cluttergen_jax.physics.standing import displacement, verdict_of_scene
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
 
@@ -51,8 +53,6 @@ _MAX_STATE = 1e10
 _LOST = 0b11 | 1 << 2 | 1 << 3 | 1 << 4 | 1 << 7 | 1 << 8
 _FEW = 3
 """A part of so many is few."""
-_WIDE_AWAKE = -(1 + mujoco.mjMINAWAKE)
-"""Of `tree_asleep`: so many quiet steps are left until an object may sleep."""
 
 
 @dataclass(frozen=True)
@@ -61,23 +61,13 @@ class WarpOptions:
 
     Attributes:
       num_contacts, num_rows: room for contacts and constraint rows of a scene; None measures the need.
-      sleeps: what has not been touched yet, and scenes that are decided, sleep, and cost little on a GPU: it
-        makes no contacts, and the solver sees the objects that are awake alone. On a CPU, where Warp's tiles
-        are loops, it is many times slower than everything awake.
-      num_awake: of those that sleep, so many may be awake in a scene during an attempt, the current object
-        included; one in which more wake ends as OVERFLOW. None has room for all.
       least_batch: once a third of a batch is left to be decided it is stepped on by itself, unless that
         would be fewer scenes than this; 0 never does so.
-      graph_mode: how JAX calls Warp's kernels on a GPU, a name of `warp.JaxCallableGraphMode`; None leaves it
-        to MJX.
     """
 
     num_contacts: int | None = None
     num_rows: int | None = None
-    sleeps: bool = False
-    num_awake: int | None = None
     least_batch: int = 64
-    graph_mode: str | None = None
 
 
 WARP_DEFAULTS = WarpOptions()
@@ -124,7 +114,7 @@ class MjxScenes:
             # if contacts are firmer; softer by a few micrometres they are solved.
             model.geom_solimp[:, :2] = np.minimum(model.geom_solimp[:, :2], _FIRMEST)
             self._model = mjx.put_model(model, impl="jax")
-            self._pairs = Pairs(model, self._model, layout.num_objects)
+            self._pairs = ConvexPairs(model, self._model, layout.num_objects)
             with self._pairs.replacing_mjx():
                 self._blank = mjx.make_data(model, impl="jax")
             return
@@ -137,32 +127,10 @@ class MjxScenes:
             contacts = contacts or measured[0]
             rows = rows or measured[1]
         self._num_contacts = contacts
-        num_rows = rows
-        model = _sleeping(layout.model) if options.sleeps else layout.model
-
-        def blank(of: mujoco.MjModel, num_awake: int | None = None) -> mjx.Data:
-            nvmax = None if num_awake is None else 6 * min(num_awake, layout.num_objects)
-            sizes = {"naconmax": self._num_contacts, "njmax": num_rows, "nvmax": nvmax}
-            return mjx.make_data(of, impl="warp", **sizes)
-
-        self._awake, self._model = (
-            _put(each, options.graph_mode) for each in (layout.model, model)
-        )
-        self._blank = blank(layout.model)
-        self._whole = blank(model)
-        self._partly = blank(model, options.num_awake) if options.sleeps else self._whole
-
-    def release(self, start: Array, is_awake: Array, is_attempt: bool) -> mjx.Data:
-        """Simulations at rest at `start`, f32[N, K, 7].
-
-        Args:
-          is_awake: bool[N, K], who does not sleep.
-          is_attempt: `WarpOptions.num_awake` limits who may be awake.
-        """
-        if not self._is_warp:
-            return self._start_at(self._blank, start)
-        data = self._start_at(self._partly if is_attempt else self._whole, start)
-        return self._asleep(data, ~is_awake, is_awake) if self._options.sleeps else data
+        # What is read from `overflow` after every step need not be printed.
+        quiet = {"opt._impl.warn_overflow": 0}
+        self._model = mjx.put_model(layout.model, impl="warp").tree_replace(quiet)
+        self._blank = mjx.make_data(layout.model, impl="warp", naconmax=contacts, njmax=rows)
 
     def few_of(self, num_scenes: int) -> int:
         """How many of a batch's scenes are few enough to go on by themselves; 0 where none are."""
@@ -170,15 +138,14 @@ class MjxScenes:
         few = num_scenes // _FEW if least and self._is_warp else 0
         return few if few >= least else 0
 
-    def take_scenes(self, data: mjx.Data, index: Array, is_attempt: bool) -> mjx.Data:
+    def take_scenes(self, data: mjx.Data, index: Array) -> mjx.Data:
         """The scenes `index`, i32[M], of Warp's data by themselves; beyond the last, the last."""
 
         def of(array: Array) -> Array:
             return array.at[index].get(mode="clip")
 
-        blank = self._partly if is_attempt else self._whole
         impl = data._impl
-        return self._start_at(blank, of(self.poses(data))).tree_replace(
+        return self.start_at(of(self.poses(data))).tree_replace(
             {
                 "qvel": of(data.qvel),
                 "qacc_warmstart": of(data.qacc_warmstart),
@@ -187,12 +154,14 @@ class MjxScenes:
             }
         )
 
-    def _start_at(self, blank: mjx.Data, start: Array) -> mjx.Data:
-        blank = self._with_room(blank, len(start)) if self._is_warp else blank
+    def start_at(self, start: Array) -> mjx.Data:
+        """Simulations at rest at `start`, f32[N, K, 7]."""
+        blank = self._with_room(len(start)) if self._is_warp else self._blank
         return jax.vmap(lambda qpos: blank.replace(qpos=qpos))(start.reshape(len(start), -1))
 
-    def _with_room(self, blank: mjx.Data, num_scenes: int) -> mjx.Data:
+    def _with_room(self, num_scenes: int) -> mjx.Data:
         """Warp's blank data with the contact list, which all scenes share, lengthened for them."""
+        blank = self._blank
         size = num_scenes * self._num_contacts
         changes: dict[str, Array] = {"_impl.naconmax": size, "_impl.naccdmax": size}
         for name, array in vars(blank._impl).items():
@@ -200,25 +169,10 @@ class MjxScenes:
                 changes[f"_impl.{name}"] = jnp.zeros((size, *array.shape[1:]), array.dtype)
         return blank.tree_replace(changes)
 
-    def _asleep(self, data: mjx.Data, falls_asleep: Array, is_awake: Array) -> mjx.Data:
-        """The data with some objects, bool[N, K], asleep each by itself, and others wide awake."""
-        tree = jnp.arange(self._layout.num_objects, dtype=jnp.int32)
-        state = jnp.where(falls_asleep, tree, data._impl.tree_asleep)
-        state = jnp.where(is_awake, _WIDE_AWAKE, state)
-        is_up = (state < 0).astype(jnp.int32)
-        return data.tree_replace({"_impl.tree_asleep": state, "_impl.tree_awake": is_up})
-
-    def step(self, data: mjx.Data, may_move: Array, is_awake: Array) -> mjx.Data:
-        """One time step.
-
-        Args:
-          may_move: bool[N, K], the objects that are simulated; the others stay, at rest.
-          is_awake: bool[N, K], those of them that never sleep, where any do.
-        """
+    def step(self, data: mjx.Data, may_move: Array) -> mjx.Data:
+        """One time step of the objects `may_move`, bool[N, K]; the others stay, at rest."""
         if self._is_warp:
             data = data.tree_replace({"_impl.overflow": jnp.zeros_like(data._impl.overflow)})
-        if self._options.sleeps:
-            data = self._asleep(data, ~may_move, is_awake & may_move)
         with nullcontext() if self._is_warp else self._pairs.replacing_mjx():
             after = jax.vmap(mjx.step, in_axes=(None, 0))(self._model, data)
         # The warm start of those that stay is left as it is, and is right for the next step: with zeros there
@@ -270,10 +224,9 @@ class MjxScenes:
         # MJX dispatches all but this function to Warp by itself, and it can be imported with Warp alone.
         from mujoco.mjx.warp.collision_driver import collision
 
-        model = self._awake
-        data = self._start_at(self._blank, poses)
+        data = self.start_at(poses)
         for stage in (mjx.kinematics, collision):
-            data = jax.vmap(stage, in_axes=(None, 0))(model, data)
+            data = jax.vmap(stage, in_axes=(None, 0))(self._model, data)
         impl = data._impl
         is_used = jnp.arange(impl.naconmax) < impl.nacon[0]
         depth = jnp.where(is_used, jnp.maximum(-impl.contact__dist, 0.0), 0.0)
@@ -287,7 +240,7 @@ class MjxScenes:
         return contacts, jnp.maximum(impl.nacon[0], impl.ncollision[0]) > impl.naconmax
 
     def _contacts_in_jax(self, poses: Array) -> ContactRows:
-        data = self._start_at(self._blank, poses)
+        data = self.start_at(poses)
         with faces_first():
             for stage in (mjx.kinematics, self._pairs.find_contacts):
                 data = jax.vmap(stage, in_axes=(None, 0))(self._model, data)
@@ -310,33 +263,12 @@ def start_poses(
     Scenes that are inactive or have a pose that is not finite are parked whole.
     """
     length = norm(jnp, poses[..., 3:])
-    is_sound = (
-        jnp.isfinite(poses).all(axis=-1)
-        & (length > 1e-3)
-        & (jnp.abs(poses) < _MAX_STATE).all(axis=-1)
-    )
+    is_small = (jnp.abs(poses) < _MAX_STATE).all(axis=-1)
+    is_sound = jnp.isfinite(poses).all(axis=-1) & (length > 1e-3) & is_small
     is_scene_sound = (is_sound | ~is_placed).all(axis=-1)
     is_used = (is_placed & (is_active & is_scene_sound)[:, None])[..., None]
     unit = poses.at[..., 3:].divide(jnp.where(is_sound, length, 1.0)[..., None])
     return jnp.where(is_used, unit, jnp.asarray(layout.parked, jnp.float32)), is_scene_sound
-
-
-def _put(model: mujoco.MjModel, graph_mode: str | None) -> mjx.Model:
-    """The model on the device. Warp need not print what is read from `overflow` after every step."""
-    mode = None if graph_mode is None else mjx_warp.types.GraphMode[graph_mode]
-    return mjx.put_model(model, impl="warp", graph_mode=mode).tree_replace(
-        {"opt._impl.warn_overflow": 0}
-    )
-
-
-def _sleeping(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy whose objects may sleep. Its Jacobian is dense: with a sparse one, Warp 1.18 and MJX 3.17 lose
-    whoever is awake among sleepers to NaN in the step in which nothing touches it.
-    """
-    model = model.__copy__()
-    model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
-    model.opt.jacobian = int(mujoco.mjtJacobian.mjJAC_DENSE)
-    return model
 
 
 _ROOM_MARGIN = 2.0
@@ -545,6 +477,7 @@ class _Checks(struct.PyTreeNode):
 
 
 _Run = TypeVar("_Run", _Attempts, _Checks)
+_T = TypeVar("_T")
 
 
 _REFERENCE = (
@@ -552,6 +485,11 @@ _REFERENCE = (
     " minute for four, minutes for ninety; on a CPU it then runs tens to hundreds of times slower than engine"
     " 'native', which compiles in seconds"
 )
+
+
+def _where_running(running: Array, after: _T, before: _T) -> _T:
+    """A pytree of scenes after a step of those that run, bool[N]; of the others as it was."""
+    return jax.tree.map(lambda new, old: where(jnp, running, new, old), after, before)
 
 
 class MjxPhysics(OneScenePhysics):
@@ -588,7 +526,7 @@ class MjxPhysics(OneScenePhysics):
         start, is_sound = start_poses(self.layout, poses, is_placed, is_active)
         is_focus = jnp.arange(self.layout.num_objects) == focus[:, None]
         batch = _Batch(start, is_placed, is_focus, is_active & is_sound)
-        run = self._run_to_end(self._release(batch), self._attempt_step, is_attempt=True)
+        run = self._run_to_end(self._release(batch), self._attempt_step)
         return self._report(run, poses, is_active)
 
     def _release(self, batch: _Batch) -> _Attempts:
@@ -598,9 +536,7 @@ class MjxPhysics(OneScenePhysics):
         trajectory = jnp.zeros((num_scenes, self.config.last_step + 1, 13), jnp.float32)
         return _Attempts(
             batch=batch,
-            data=self.scenes.release(
-                batch.start, batch.is_focus & batch.is_judged[:, None], is_attempt=True
-            ),
+            data=self.scenes.start_at(batch.start),
             track=stability.new_track(jnp, (num_scenes,), num_objects, jnp.float32),
             trajectory=trajectory.at[:, 0, :7].set(batch.start[rows, focus]),
             overflowed=jnp.zeros(num_scenes, bool),
@@ -614,14 +550,14 @@ class MjxPhysics(OneScenePhysics):
         running = run.is_running
         rows = jnp.arange(len(running))
         focus = jnp.argmax(batch.is_focus, axis=1)
-        data = scenes.step(run.data, running[:, None] & batch.is_placed, batch.is_focus)
+        data = scenes.step(run.data, running[:, None] & batch.is_placed)
         is_finite = scenes.is_finite(data)
         data = scenes.halt_diverged(data, is_finite, batch.start)
         velocity = scenes.velocity(data, focus)
         is_neighbour = batch.is_placed & ~batch.is_focus
-        shift, turn = (
-            each * is_neighbour for each in displacement(jnp, scenes.poses(data), batch.start)
-        )
+        shift, turn = displacement(jnp, scenes.poses(data), batch.start)
+        shift = shift * is_neighbour
+        turn = turn * is_neighbour
         motion = stability.step_motion(jnp, velocity, run.track.velocity, config)
         after = stability.advance(jnp, run.track, motion, shift, turn, config)
         row = jnp.concatenate([scenes.poses(data)[rows, focus], velocity], axis=-1)
@@ -629,13 +565,13 @@ class MjxPhysics(OneScenePhysics):
         return _Attempts(
             batch=batch,
             data=data,
-            track=jax.tree.map(lambda new, old: where(jnp, running, new, old), after, run.track),
+            track=_where_running(running, after, run.track),
             trajectory=run.trajectory.at[rows, index].set(row, mode="drop"),
             overflowed=run.overflowed | (running & scenes.has_overflowed(data)),
             is_finite=run.is_finite & (is_finite | ~running),
         )
 
-    def _run_to_end(self, run: _Run, step: Callable[[_Run], _Run], is_attempt: bool) -> _Run:
+    def _run_to_end(self, run: _Run, step: Callable[[_Run], _Run]) -> _Run:
         """Steps until every scene is decided; once few are left, those alone, as a batch of their own."""
         num_scenes = len(run.batch.start)
         few = self.scenes.few_of(num_scenes)
@@ -648,9 +584,9 @@ class MjxPhysics(OneScenePhysics):
         # What fills up the places of a smaller number is no scene.
         part = part.replace(
             batch=part.batch.replace(is_judged=part.batch.is_judged & (index < num_scenes)),
-            data=self.scenes.take_scenes(run.data, index, is_attempt),
+            data=self.scenes.take_scenes(run.data, index),
         )
-        part = self._run_to_end(part, step, is_attempt)
+        part = self._run_to_end(part, step)
         data = run.data.replace(qpos=run.data.qpos.at[index].set(part.data.qpos, mode="drop"))
         merged = jax.tree.map(
             lambda leaf, new: leaf.at[index].set(new, mode="drop"), whole, part.replace(data=None)
@@ -670,28 +606,30 @@ class MjxPhysics(OneScenePhysics):
         track = run.track
         is_finite = run.is_finite & run.batch.is_judged
         config = self.config
-        final = jnp.where(
-            (is_placed & is_finite[:, None])[..., None], self.scenes.poses(run.data), poses
-        )
+        ended = self.scenes.poses(run.data)
+        final = jnp.where((is_placed & is_finite[:, None])[..., None], ended, poses)
         is_at_rest = track.is_quiet & is_finite & ~run.overflowed
         focus = jnp.argmax(is_focus, axis=1)
-        contacts, lost = self._contacts(self.scenes.poses(run.data), start, is_focus, is_at_rest)
+        contacts, lost = self._contacts(ended, start, is_focus, is_at_rest)
         both = overlaps(contacts, self.layout, 2 * num_scenes).reshape(2, num_scenes, -1)
         # What was lost may be anybody's.
         overflowed = run.overflowed | (is_at_rest & lost)
+        center_of_mass = self.layout.center_of_mass.astype(np.float32)
         verdict, is_quiet = stability.verdict_of_attempt(
             jnp,
             track,
             is_focus=is_focus,
             is_neighbour=is_placed & ~is_focus,
-            is_below=below_top(
-                jnp, final, self.layout.center_of_mass.astype(np.float32), self.layout.top
-            ),
+            is_below=below_top(jnp, final, center_of_mass, self.layout.top),
             penetrates=stability.penetrates(jnp, both[0], both[1], config),
             overflowed=overflowed,
             is_finite=is_finite,
             config=config,
         )
+
+        def where_at_rest(array: Array) -> Array:
+            return mask_scenes(jnp, array, is_at_rest)
+
         report = empty_settling(jnp, (num_scenes,), num_objects, config)
         depths = both[0].reshape(num_scenes, num_objects + 1, num_objects + 1)
         is_moved = is_placed & (is_focus | (track.shift >= MIN_SHIFT))
@@ -700,18 +638,13 @@ class MjxPhysics(OneScenePhysics):
             verdict=jnp.where(is_active, verdict, report.verdict),
             num_steps=track.step,
             poses=final,
-            trajectory=mask_scenes(jnp, run.trajectory, is_finite),
-            motion_sum=mask_scenes(jnp, track.motion_sum, is_finite),
-            speed_sum=mask_scenes(jnp, track.speed_sum, is_finite),
-            shift=mask_scenes(jnp, track.shift, is_finite),
-            turn=mask_scenes(jnp, track.turn, is_finite),
             penetration=mask_scenes(jnp, depths.max(axis=(1, 2)), ~overflowed & is_at_rest),
             is_quiet=is_quiet,
-            margin=mask_scenes(jnp, margin, is_at_rest),
-            touches=mask_scenes(
-                jnp, (depths[jnp.arange(num_scenes), focus] > 0)[:, :-1], is_at_rest
-            ),
-            bears=mask_scenes(jnp, bearers(contacts, self.layout, focus), is_at_rest),
+            margin=where_at_rest(margin),
+            touches=where_at_rest((depths[jnp.arange(num_scenes), focus] > 0)[:, :-1]),
+            bears=where_at_rest(bearers(contacts, self.layout, focus)),
+            trajectory=mask_scenes(jnp, run.trajectory, is_finite),
+            **{name: mask_scenes(jnp, getattr(track, name), is_finite) for name in SUMS},
         )
 
     def _contacts(
@@ -731,8 +664,8 @@ class MjxPhysics(OneScenePhysics):
         start, is_sound = start_poses(self.layout, poses, is_placed, is_active)
         batch = _Batch(start, is_placed, jnp.zeros_like(is_placed), is_active & is_sound)
         blank = empty_standing(jnp, (len(poses),), self.layout.num_objects)
-        data = self.scenes.release(start, is_placed & batch.is_judged[:, None], is_attempt=False)
-        run = self._run_to_end(_Checks(batch, data, blank), self._check_step, is_attempt=False)
+        checks = _Checks(batch, self.scenes.start_at(start), blank)
+        run = self._run_to_end(checks, self._check_step)
         standing = run.standing
         diverged = jnp.where(is_active & ~is_sound, int(Verdict.NON_FINITE), standing.verdict)
         return standing.replace(
@@ -746,8 +679,7 @@ class MjxPhysics(OneScenePhysics):
         batch = run.batch
         running = run.is_running
         before = run.standing
-        may_move = running[:, None] & batch.is_placed
-        data = scenes.step(run.data, may_move, is_awake=may_move)
+        data = scenes.step(run.data, running[:, None] & batch.is_placed)
         is_finite = scenes.is_finite(data)
         data = scenes.halt_diverged(data, is_finite, batch.start)
         shift, turn = displacement(jnp, scenes.poses(data), batch.start)
@@ -758,6 +690,4 @@ class MjxPhysics(OneScenePhysics):
         verdict = jnp.where(scenes.has_overflowed(data), int(Verdict.OVERFLOW), verdict)
         verdict = jnp.where(is_finite, verdict, int(Verdict.NON_FINITE))
         after = Standing(verdict=verdict, num_steps=num_steps, shift=shift, turn=turn)
-        return _Checks(
-            batch, data, jax.tree.map(lambda new, old: where(jnp, running, new, old), after, before)
-        )
+        return _Checks(batch, data, _where_running(running, after, before))

@@ -91,7 +91,7 @@ def small(out: Path) -> Scales:
             block=2,
             lanes=(2,),
             begun=2,
-            engines=("native", "warp", "warp, sleeping"),
+            engines=("native", "warp", "warp, not compacted"),
             cases=(("clear", "whole check"),),
             awake_steps=2,
         ),

@@ -26,12 +26,8 @@ from studies.benchmarks.sampled import placed_poses
 WARP = {
     "warp": WarpOptions(),
     "warp, not compacted": WarpOptions(least_batch=0),
-    "warp, staged": WarpOptions(graph_mode="WARP_STAGED"),
     # `room_for` gives 214 contacts and 1,284 rows to the objects of dining; kernels run over all of them.
     "warp, half the room": WarpOptions(num_contacts=107, num_rows=642),
-    "warp, sleeping": WarpOptions(sleeps=True),
-    "warp, sleeping, 3 awake": WarpOptions(sleeps=True, num_awake=3),
-    "warp, sleeping, 5 awake": WarpOptions(sleeps=True, num_awake=5),
 }
 """Ways to simulate with Warp, by name; `native` is measured beside them."""
 
@@ -58,7 +54,7 @@ class Scale:
     lanes: tuple[int, ...] = (512, 2048, 8192, 16384)
     begun: int = 3
     engines: tuple[str, ...] = ("native", *WARP)
-    compared: tuple[str, ...] = ("native", "warp", "warp, sleeping")
+    compared: tuple[str, ...] = ("native", "warp")
     cases: tuple[tuple[str, str], ...] = (
         ("clear", "whole check"),
         ("clear", "no check"),
