@@ -480,7 +480,8 @@ class SceneSpec:
         from cluttergen_jax.assets.support import parse_polygon, parse_region, parse_surfaces
         from cluttergen_jax.assets.support_file import find_support
         from cluttergen_jax.physics import engine_of
-        from cluttergen_jax.placement.problem import ProblemConfig, check_number
+        from cluttergen_jax.placement.problem import ProblemConfig
+        from cluttergen_jax.placement.room import check_number
 
         pool = self.pool_text
         chosen = tuple(self.objects)

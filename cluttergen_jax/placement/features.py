@@ -1,4 +1,4 @@
-"""Features of clutter: what a scene has of each, and what an object would add at each candidate."""
+"""What an object would lie on at each candidate, and what it would add there to each feature of clutter."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ from cluttergen_jax.placement.boxes import (
 from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.placement.containers import is_contained, pairs_in
 from cluttergen_jax.placement.region import Region, from_pose
-from cluttergen_jax.placement.scenes import num_touching
 from cluttergen_jax.placement.search import (
     Candidates,
     SearchScene,
@@ -99,17 +98,11 @@ def find_supporters(
 
 def _found_among(place: Array, number: int) -> Array:
     """bool[N, number]: which of the whole numbers from 0 on are among i32[N, C]."""
-    words = [
-        jax.lax.reduce(
-            jnp.where(
-                place // _BITS == word, jnp.uint32(1) << (place % _BITS).astype(jnp.uint32), 0
-            ),
-            jnp.uint32(0),
-            jax.lax.bitwise_or,
-            (1,),
-        )
-        for word in range(-(-number // _BITS))
-    ]
+    words = []
+    for word in range(-(-number // _BITS)):
+        bit = jnp.uint32(1) << (place % _BITS).astype(jnp.uint32)
+        bit = jnp.where(place // _BITS == word, bit, 0)
+        words.append(jax.lax.reduce(bit, jnp.uint32(0), jax.lax.bitwise_or, (1,)))
     bits = jnp.stack(words, axis=1)[:, :, None] >> jnp.arange(_BITS, dtype=jnp.uint32) & 1
     return bits.reshape(len(place), -1)[:, :number].astype(bool)
 
@@ -165,7 +158,7 @@ class Placing(struct.PyTreeNode):
           focus: i32, the current object; quaternion: its orientation (`Body`).
           rest: f32[N], from `lower_onto`, metres.
         """
-        poses = safe_poses(episode.poses, episode.is_placed)
+        poses = episode.safe_poses
         hollows = geometry.hollows
         return Placing(
             episode=episode,
@@ -243,7 +236,8 @@ def _levels(at: Placing) -> Array:
 
 
 def _num_touching(at: Placing) -> Array:
-    return num_touching(at.episode.support_graph.leans_on, at.episode.is_placed).astype(jnp.float32)
+    episode = at.episode
+    return episode.support_graph.num_touching(episode.is_placed).astype(jnp.float32)
 
 
 def _num_contained(at: Placing) -> Array:
@@ -335,8 +329,3 @@ def remaining_and_added(clutter: Clutter, at: Placing) -> tuple[Array, Array]:
         remaining.append(missing / share)
         added.append(change)
     return jnp.stack(remaining), jnp.stack(added, axis=1)
-
-
-def safe_poses(poses: Array, is_placed: Array) -> Array:
-    """Poses of objects that are not placed may be anything."""
-    return jnp.where(is_placed[:, None], poses, jnp.eye(7, dtype=jnp.float32)[3])

@@ -1,4 +1,4 @@
-"""One scene as a person fills it: the current object, where it is held, what stands and what can be done."""
+"""One scene as a person fills it, by the rules that methods obey, and the seconds of work that count."""
 
 from __future__ import annotations
 
@@ -299,9 +299,8 @@ class HandScene:
         """
         self.touch()
         half = self.setup.problem.region.half_extents
-        x, y = (
-            float(np.clip(value, -side, side)) for value, side in zip((x, y), half, strict=True)
-        )
+        x = float(np.clip(x, -half[0], half[0]))
+        y = float(np.clip(y, -half[1], half[1]))
         self.held = Held(x, y, self._clear_height(), math.remainder(yaw, math.tau))
 
     def hold_at(self, position: np.ndarray, wxyz: np.ndarray) -> None:
@@ -359,7 +358,7 @@ class HandScene:
             self.hold(0.0, 0.0, 0.0)
         else:
             self._failure = verdict
-        return self._drop_report(before, transition, jax.device_get(settling), verdict)
+        return self._drop_report(before, transition, jax.device_get(settling))
 
     def undo(self) -> int:
         """Takes the object that was placed last back into the hand, and moves all others back; which it was.
@@ -457,31 +456,22 @@ class HandScene:
         tall = np.asarray(self._rules.geometry.half_extents)[:, 2]
         highest = np.max((self.poses[:, 2] - top + tall)[self.is_placed], initial=0.0)
         own = 0.0 if self.current is None else tall[self.current]
-        return min(float(highest + own + _CLEAR), float(self._rules.height_range(self._episode)))
+        most = float(self._rules.height_range(self._episode))
+        return min(float(highest + own + _CLEAR), most)
 
     def _half_height(self) -> float:
         return float(self._rules.geometry.half_extents[self.left[0], 2])
 
-    def _drop_report(
-        self, before: Episode, transition: Any, settling: Settling, verdict: Verdict
-    ) -> Drop:
+    def _drop_report(self, before: Episode, transition: Any, settling: Settling) -> Drop:
         focus = int(transition.object_index)
         is_placed = np.asarray(before.is_placed)
         config = self._rules.physics.config
         moved = np.maximum(settling.shift / config.max_shift, settling.turn / config.max_turn)
-        mover = int(np.argmax(np.where(is_placed, moved, -1.0))) if is_placed.any() else None
-        attempt = Attempt(
-            object_index=focus,
-            ordinal=int(transition.ordinal),
-            action=np.asarray(transition.action),
-            verdict=verdict,
-            trajectory=np.asarray(settling.trajectory)[: int(settling.num_steps) + 1],
-            poses=np.asarray(before.poses),
-            is_placed=is_placed,
-            settled=np.asarray(settling.poses),
-        )
+        mover = None
+        if is_placed.any():
+            mover = int(np.argmax(np.where(is_placed, moved, -1.0)))
         return Drop(
-            attempt=attempt,
+            attempt=Attempt.of(before, transition, settling),
             mover=mover,
             shift=0.0 if mover is None else float(settling.shift[mover]),
             turn=0.0 if mover is None else float(settling.turn[mover]),

@@ -1,6 +1,7 @@
 """The free space over a queried region: the height of whatever lies under each cell of a grid.
 
-Pure geometry, no physics: the placed objects' upper surfaces and the support's boxes.
+Pure geometry, no physics: the placed objects' upper surfaces and the support's boxes. The support's own map
+tells how far objects reach beyond its edge, too.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from cluttergen_jax.assets.support_map import (
     surface_heights,
     top_boxes,
 )
-from cluttergen_jax.placement.region import Region, from_pose, to_pose
-from cluttergen_jax.placement.types import Geometry, SupportMap
+from cluttergen_jax.placement.region import Region, from_pose, safe_poses, to_pose
+from cluttergen_jax.placement.types import Geometry, SupportMap, cell_index, look_up, take
 from cluttergen_jax.types import Array
 
 _HALF = 0.25
@@ -67,7 +68,7 @@ def map_below(geometry: Geometry, surface: Array | None, focus: Array) -> Suppor
     """
     if geometry.support_map is None or surface is None:
         return geometry.support_map
-    return geometry.support_map.of_surface(jnp.maximum(surface[focus], 0))
+    return take(geometry.support_map, jnp.maximum(surface[focus], 0))
 
 
 def _map_of(surface: Surface, found: SurfaceHeights, shape: np.ndarray) -> SupportMap:
@@ -171,24 +172,17 @@ class HeightMap(struct.PyTreeNode):
 
     def index_of(self, x: Array, y: Array) -> Array:
         """i32[...]: the cells of points f32[...] in the flattened map; off the map, one of its border."""
-        shape = self.height.shape
-        # Clipped before it is cut to whole numbers, so that nothing negative is rounded towards zero.
-        i = jnp.clip((x - self.corner[0]) * (1 / self.cell[0]), 0.0, shape[0] - 1.0).astype(
-            jnp.int32
-        )
-        j = jnp.clip((y - self.corner[1]) * (1 / self.cell[1]), 0.0, shape[1] - 1.0).astype(
-            jnp.int32
-        )
-        return i * shape[1] + j
+        offset = (x - self.corner[0], y - self.corner[1])
+        return cell_index(offset, self.cell, self.height.shape)
 
     def at(self, index: Array) -> Array:
         """f32[...]: the heights of cells i32[...] from `index_of`."""
-        return self.height.reshape(-1).at[index].get(mode="clip")
+        return look_up(self.height, index)
 
     def owner_at(self, index: Array) -> Array:
         """i32[...]: whose surface the cells i32[...] show."""
         assert self.owner is not None
-        return self.owner.reshape(-1).at[index].get(mode="clip")
+        return look_up(self.owner, index)
 
 
 class HeightMapper(struct.PyTreeNode):
@@ -219,7 +213,8 @@ class HeightMapper(struct.PyTreeNode):
             radius = np.linalg.norm(np.asarray(found.half_extents)[..., :2], axis=-1).max()
         half = np.asarray(region.half_extents, np.float64)
         support_map = make_support_map(geometry)
-        inverse = np.asarray(support_map.first.place(region.T_world_region).inverse().as_matrix())
+        T_map_region = support_map.first.place(region.T_world_region)
+        inverse = np.asarray(T_map_region.inverse().as_matrix())
         reach = reach_beyond(top_boxes_of(geometry), inverse, half, radius)
         if support_map.height.ndim > 2:
             # One size for the maps of several surfaces.
@@ -236,8 +231,7 @@ class HeightMapper(struct.PyTreeNode):
         """
         corner = -jnp.array(self.shape, jnp.float32) / 2 * jnp.array(self.cell)
         bare = self._bare(region, corner)
-        # Poses of objects that are not placed may be anything.
-        T_world_object = from_pose(jnp.where(is_placed[:, None], poses, jnp.eye(7)[3]))
+        T_world_object = from_pose(safe_poses(poses, is_placed))
         T_region_object = region.T_world_region.inverse() @ T_world_object
         surface, owner = self.geometry.surfaces_at(poses)
         turn = T_region_object.rotation().as_matrix()[owner]
@@ -251,12 +245,11 @@ class HeightMapper(struct.PyTreeNode):
         height = jnp.where(is_placed[owner][:, None], z, VOID)
         if bare.ceiling is not None:
             # What lies on a board above is none of this surface's obstacles.
-            height = jnp.where(
-                z > bare.ceiling.reshape(-1).at[index].get(mode="clip"), VOID, height
-            )
+            height = jnp.where(z > look_up(bare.ceiling, index), VOID, height)
         if with_owner:
             return self._with_owner(bare, index, height, owner)
-        raised = bare.height.reshape(-1).at[index.reshape(-1)].max(height.reshape(-1), mode="drop")
+        cells = index.reshape(-1)
+        raised = bare.height.reshape(-1).at[cells].max(height.reshape(-1), mode="drop")
         return bare.replace(height=_with_void_border(raised.reshape(self.shape)))
 
     def _with_owner(self, bare: HeightMap, index: Array, height: Array, owner: Array) -> HeightMap:
@@ -264,9 +257,8 @@ class HeightMapper(struct.PyTreeNode):
         nobody = self.geometry.num_objects
         packed = _pack(bare.height, jnp.int32(nobody)).reshape(-1)
         points = _pack(height, owner[:, None])
-        packed = (
-            packed.at[index.reshape(-1)].max(points.reshape(-1), mode="drop").reshape(self.shape)
-        )
+        packed = packed.at[index.reshape(-1)].max(points.reshape(-1), mode="drop")
+        packed = packed.reshape(self.shape)
         micrometres = packed >> _OWNER_BITS
         owner = packed & (2**_OWNER_BITS - 1)
         height = jnp.where(micrometres <= -_DEEPEST, VOID, micrometres * 1e-6)
@@ -278,24 +270,16 @@ class HeightMapper(struct.PyTreeNode):
         T = support_map.place(region.T_world_region)
         turn = T.rotation().as_matrix()[:2, :2]
         shift = T.translation()[:2] - support_map.corner
-        x, y = (
-            corner[axis] + self.cell[axis] * (jnp.arange(self.shape[axis]) + 0.5) for axis in (0, 1)
-        )
-        i, j = (
-            jnp.clip(
-                ((turn[axis, 0] * x + shift[axis])[:, None] + turn[axis, 1] * y)
-                * (1 / support_map.cell),
-                0.0,
-                support_map.height.shape[axis] - 1.0,
-            ).astype(jnp.int32)
-            for axis in (0, 1)
-        )
-        flat = support_map.height.reshape(-1)
-        index = i * support_map.height.shape[1] + j
-        height = _with_void_border(flat.at[index].get(mode="clip"))
+        x = corner[0] + self.cell[0] * (jnp.arange(self.shape[0]) + 0.5)
+        y = corner[1] + self.cell[1] * (jnp.arange(self.shape[1]) + 0.5)
+        first = (turn[0, 0] * x + shift[0])[:, None] + turn[0, 1] * y
+        second = (turn[1, 0] * x + shift[1])[:, None] + turn[1, 1] * y
+        cell = (support_map.cell, support_map.cell)
+        index = cell_index((first, second), cell, support_map.height.shape)
+        height = _with_void_border(look_up(support_map.height, index))
         ceiling = None
         if support_map.ceiling is not None:
-            ceiling = support_map.ceiling.reshape(-1).at[index].get(mode="clip")
+            ceiling = look_up(support_map.ceiling, index)
         return HeightMap(height, corner, self.cell, ceiling=ceiling)
 
 
@@ -306,6 +290,8 @@ def _pack(height: Array, owner: Array) -> Array:
 
 
 def _with_void_border(height: Array) -> Array:
-    i, j = (jnp.arange(side) for side in height.shape)
-    inner = ((i > 0) & (i < height.shape[0] - 1))[:, None] & ((j > 0) & (j < height.shape[1] - 1))
-    return jnp.where(inner, height, VOID)
+    i = jnp.arange(height.shape[0])
+    j = jnp.arange(height.shape[1])
+    is_inner_row = (i > 0) & (i < height.shape[0] - 1)
+    is_inner_column = (j > 0) & (j < height.shape[1] - 1)
+    return jnp.where(is_inner_row[:, None] & is_inner_column, height, VOID)

@@ -1,10 +1,13 @@
-"""Episodes run to their end: begin, step until all are over, finish. Ctrl-C ends it between steps."""
+"""Episodes run to their end: begin, step until all are over, finish. Ctrl-C ends it between steps.
+
+A `EpisodeRecorder` makes single ones once more, every attempt kept: the same keys make the same scene.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, ClassVar, TypeVar
 
 import jax
@@ -19,7 +22,7 @@ from cluttergen_jax.placement.region import KeepOut, Region
 from cluttergen_jax.placement.replay import Attempt, Replay
 from cluttergen_jax.placement.rules import Proposer, Rules
 from cluttergen_jax.placement.scenes import BLOCK_SIZE, SceneBatch, scene_of
-from cluttergen_jax.placement.types import Episode, Start, Transition
+from cluttergen_jax.placement.types import Episode, Start, Transition, choose
 from cluttergen_jax.placement.world import World
 from cluttergen_jax.progress import Progress, interruptible, track
 from cluttergen_jax.types import Array, Verdict
@@ -78,9 +81,8 @@ class BlockSampler(struct.PyTreeNode, eq=False):
     def begin(self, key: Array, indices: Array, is_wanted: Array) -> Episode:
         """Episodes for scene indices i32[N]; those not wanted (bool[N]) are over before they start."""
         keys = jax.vmap(lambda index: jax.random.fold_in(key, index))(indices)
-        episodes = jax.vmap(lambda key: self.rules.begin(key, None, self.keep_out, self.start))(
-            keys
-        )
+        begin = partial(self.rules.begin, keep_out=self.keep_out, start=self.start)
+        episodes = jax.vmap(begin)(keys)
         return episodes.replace(is_over=~is_wanted)
 
     def step(self, episodes: Episode) -> tuple[Episode, Transition]:
@@ -162,7 +164,7 @@ class Rollout:
         def refill(
             sampler: BlockSampler, key: Array, episodes: Episode, indices: Array, is_new: Array
         ) -> Episode:
-            return _where_new(is_new, sampler.begin(key, indices, is_new), episodes)
+            return jax.vmap(choose)(is_new, sampler.begin(key, indices, is_new), episodes)
 
         def conclude(
             sampler: BlockSampler,
@@ -183,14 +185,17 @@ class Rollout:
             after, transition = jax.vmap(sampler.finish_pile)(before, asking, piling)
             return after, after.is_over, look(before, after, transition)
 
+        self._programs: list[Any] = []
+
         def program(function: Callable[..., Any], donated: tuple[int, ...] = ()) -> Any:
-            static = (0,) if is_constant else ()
-            return jax.jit(
+            made = jax.jit(
                 function,
-                static_argnums=static,
+                static_argnums=(0,) if is_constant else (),
                 donate_argnums=donated,
                 compiler_options=compiler_options(),
             )
+            self._programs.append(made)
+            return made
 
         self._ask = program(ask)
         self._finish_piles = program(finish_piles)
@@ -216,13 +221,12 @@ class Rollout:
           is_refilled: more scenes than places will be asked for.
         """
         if self.num_programs >= MAX_PROGRAMS:
-            pieces = (self._step, self._propose, self._judge, self._conclude, self._refill)
-            for function in (self._begin, *pieces, self._ask, self._finish_piles, self._finish):
-                function.clear_cache()
-        episodes = interruptible(self._begin, sampler, key, indices, np.zeros(len(indices), bool))
+            for each in self._programs:
+                each.clear_cache()
+        nothing = np.zeros(len(indices), bool)
+        episodes = interruptible(self._begin, sampler, key, indices, nothing)
         episodes, *_ = interruptible(self._step_all, sampler, episodes)
         if is_refilled:
-            nothing = np.zeros(len(indices), bool)
             episodes = interruptible(self._refill, sampler, key, episodes, indices, nothing)
         jax.block_until_ready(interruptible(self._finish, sampler, episodes))
 
@@ -239,9 +243,8 @@ class Rollout:
             is_left = ~np.asarray(episodes.is_over)
             is_due = is_left & (np.cumsum(is_left) <= WHOLE_AT_ONCE)
             asking, *asked = self._ask(sampler, episodes, is_due)
-            return self._finish_piles(
-                sampler, episodes, asking, physics.pile_batch(*map(np.asarray, asked))
-            )
+            piling = physics.pile_batch(*map(np.asarray, asked))
+            return self._finish_piles(sampler, episodes, asking, piling)
         episodes, action, *asked = self._propose(sampler, episodes)
         settling = physics.settle_batch(*map(np.asarray, asked))
         after, transition, is_filled = self._judge(sampler, episodes, action, settling)
@@ -310,13 +313,14 @@ class Rollout:
             on_step(indices, int((is_over & ~was_over).sum()), seen)
             was_over = is_over
             is_done = is_over & is_held
-            if not is_done.any() or (is_done.sum() < REFILL * width and (is_held & ~is_done).any()):
+            is_few = is_done.sum() < REFILL * width and (is_held & ~is_done).any()
+            if is_few or not is_done.any():
                 continue
             rows = np.flatnonzero(is_done)
             scenes = interruptible(self._finish_to_host, sampler, episodes)
             parts.append(jax.tree.map(lambda leaf, rows=rows: leaf[rows], scenes))
             order.append(indices[rows])
-            rows = rows[: num_scenes - following] if following < num_scenes else rows[:0]
+            rows = rows[: max(num_scenes - following, 0)]
             is_new = np.isin(np.arange(width), rows)
             is_held = is_held & ~is_done | is_new
             if len(rows):
@@ -353,19 +357,10 @@ def _by_parts(
     return jax.tree.map(lambda leaf: leaf.reshape(number, *leaf.shape[2:]), found)
 
 
-def _where_new(is_new: Array, new: Episode, old: Episode) -> Episode:
-    """Episode by episode, the new one or the old one."""
-    return jax.vmap(
-        lambda new_one, *both: jax.tree.map(lambda a, b: jnp.where(new_one, a, b), *both)
-    )(is_new, new, old)
-
-
 def blocks_of(num_scenes: int) -> list[tuple[int, int]]:
     """(block number, scenes in it) for scenes 0 to num_scenes - 1."""
-    return [
-        (block, min(BLOCK_SIZE, num_scenes - block * BLOCK_SIZE))
-        for block in range(-(-num_scenes // BLOCK_SIZE))
-    ]
+    firsts = range(0, num_scenes, BLOCK_SIZE)
+    return [(first // BLOCK_SIZE, min(BLOCK_SIZE, num_scenes - first)) for first in firsts]
 
 
 def sample_blocks(
@@ -410,7 +405,7 @@ _AT_ONCE = 32
 
 
 @dataclass(frozen=True, eq=False)
-class Recorder:
+class EpisodeRecorder:
     """Records single episodes of a sampler; compiled at the first, quick from then on.
 
     Attributes:
@@ -449,19 +444,18 @@ class Recorder:
         after = steps[-1][1]
         # Hundreds of proposals for each attempt take seconds.
         shown = track(steps, "proposals", len(steps), "attempt") if num_proposals else steps
+        attempts = []
+        # A pile has no attempts that could be shown one after another.
+        for before, _, transition in () if self.sampler.is_whole else shown:
+            proposals = self._proposals(before, seed, num_proposals)
+            attempts.append(Attempt.of(before, transition, transition.settling, proposals))
         return Replay(
             title=title or f"seed {seed}, scene {index}",
             objects=self.world.objects,
             names=self.world.names,
             support=self.world.support,
             region=rectangle_of(after.region),
-            # A pile has no attempts that could be shown one after another.
-            attempts=()
-            if self.sampler.is_whole
-            else tuple(
-                _attempt(before, transition, self._proposals(before, seed, num_proposals))
-                for before, _, transition in shown
-            ),
+            attempts=tuple(attempts),
             poses=after.poses,
             is_placed=after.is_placed,
             is_success=bool(after.is_success),
@@ -502,36 +496,20 @@ def _picture_parts(
     return before.replace(key=None, history=None), after.replace(key=None, history=None), transition
 
 
-def _attempt(before: Any, transition: Any, proposals: np.ndarray | None) -> Attempt:
-    settling = transition.settling
-    return Attempt(
-        object_index=int(transition.object_index),
-        ordinal=int(transition.ordinal),
-        action=transition.action,
-        verdict=Verdict(int(transition.verdict)),
-        trajectory=settling.trajectory[: int(settling.num_steps) + 1],
-        poses=before.poses,
-        is_placed=before.is_placed,
-        settled=settling.poses,
-        proposals=proposals,
-    )
-
-
 def rectangle_of(region: Region) -> Rectangle:
     """A queried region as a rectangle on the support's top, on the host."""
     pose = np.asarray(region.T_world_region.wxyz_xyz, np.float64)
     half = np.asarray(region.half_extents, np.float64)
-    yaw = 2.0 * float(np.arctan2(pose[3], pose[0]))
-    return Rectangle((float(pose[4]), float(pose[5])), (float(half[0]), float(half[1])), yaw)
+    return _rectangle(pose[4:6], half, 2.0 * float(np.arctan2(pose[3], pose[0])))
+
+
+def _rectangle(center: np.ndarray, half: np.ndarray, yaw: float) -> Rectangle:
+    return Rectangle(
+        (float(center[0]), float(center[1])), (float(half[0]), float(half[1])), float(yaw)
+    )
 
 
 def _keep_out_boxes(episode: Any) -> tuple[Rectangle, ...]:
     keep_out = episode.keep_out
-    return tuple(
-        Rectangle(
-            (float(center[0]), float(center[1])), (float(half[0]), float(half[1])), float(yaw)
-        )
-        for center, half, yaw in zip(
-            keep_out.center, keep_out.half_extents, keep_out.yaw, strict=True
-        )
-    )
+    boxes = zip(keep_out.center, keep_out.half_extents, keep_out.yaw, strict=True)
+    return tuple(_rectangle(*box) for box in boxes)

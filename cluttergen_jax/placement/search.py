@@ -1,4 +1,7 @@
-"""Many random poses looked at coarsely, the best of them closely."""
+"""Where an object could go, by geometry alone: lowered vertically to first contact at many random poses.
+
+All are looked at coarsely, with some of the object's columns, the best of them closely.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ from cluttergen_jax.placement.heightmap import (
 )
 from cluttergen_jax.placement.region import Region, action_of_pose, is_inside, is_kept_out, to_pose
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.types import Body, Episode
+from cluttergen_jax.placement.types import Body, Episode, Geometry, Orientations, look_up, take
 from cluttergen_jax.types import Array
 
 _CONTACT_GAP = 0.0015
@@ -29,6 +32,13 @@ _BASE = 0.003
 _BARE = 0.003
 _DEEP = -0.03
 _DIRECTIONS = 12
+
+CLEARANCE = 0.001
+"""Metres above its rest at which an object is released."""
+FORBIDDEN = 1e6
+"""Added to the cost of poses that would not count."""
+_EDGE = 0.002
+_WINDOW_DOUBLINGS = 3
 
 
 class Candidates(struct.PyTreeNode):
@@ -43,7 +53,13 @@ class Candidates(struct.PyTreeNode):
 
     def take(self, index: Array) -> Candidates:
         """The candidates at `index`, i32[M]."""
-        return Candidates(self.xy[index], self.yaw[index])
+        return take(self, index)
+
+    def turned(self, xy: Array) -> tuple[Array, Array]:
+        """f32[N, C] each: x and y of an object's points f32[C, 2], turned as at each candidate, metres."""
+        cos = jnp.cos(self.yaw)[:, None]
+        sin = jnp.sin(self.yaw)[:, None]
+        return cos * xy[:, 0] - sin * xy[:, 1], sin * xy[:, 0] + cos * xy[:, 1]
 
 
 class UnderSide(struct.PyTreeNode):
@@ -61,6 +77,16 @@ class UnderSide(struct.PyTreeNode):
     is_column: Array
     center_of_mass: Array
     lean: Array | None = None
+
+    @property
+    def lowest(self) -> Array:
+        """f32: the bottom of the lowest column."""
+        return jnp.min(jnp.where(self.is_column, self.bottom, jnp.inf))
+
+    @property
+    def is_base(self) -> Array:
+        """bool[C]: the base, the lowest of the columns."""
+        return self.is_column & (self.bottom < self.lowest + _BASE)
 
     def first(self, number: int) -> UnderSide:
         """A coarser sample."""
@@ -93,7 +119,7 @@ def lower_onto(under: UnderSide, heights: HeightMap, candidates: Candidates) -> 
     cells = cells_under(under, heights, candidates)
     below = heights.at(cells)
     is_column = under.is_column
-    lowest = jnp.min(jnp.where(is_column, under.bottom, jnp.inf))
+    lowest = under.lowest
     is_base = is_column & (under.bottom < lowest + _BASE)
     rest, blocked, hanging, base = _reduce(
         (jnp.where(is_column, below - under.bottom, VOID), jnp.maximum, VOID),
@@ -105,7 +131,7 @@ def lower_onto(under: UnderSide, heights: HeightMap, candidates: Candidates) -> 
     gap = rest + lowest - base / jnp.maximum(is_base.sum(), 1)
     room = None
     if heights.ceiling is not None:
-        above = heights.ceiling.reshape(-1).at[cells].get(mode="clip")
+        above = look_up(heights.ceiling, cells)
         room = jnp.min(jnp.where(is_column, above, jnp.inf), axis=1)
     return LoweredFit(rest, blocked / total, hanging / total, gap, room)
 
@@ -127,8 +153,7 @@ def support_share(
       rest: f32[N], from `lower_onto`.
     """
     touches = touching(under, heights, candidates, rest)
-    lowest = jnp.min(jnp.where(under.is_column, under.bottom, jnp.inf))
-    on_ground = (under.bottom < lowest + _CONTACT_GAP) & under.is_column
+    on_ground = (under.bottom < under.lowest + _CONTACT_GAP) & under.is_column
     yaw = None if under.lean is None else candidates.yaw
     return _margin(under, touches, yaw) / jnp.maximum(_margin(under, on_ground[None]), 1e-3)
 
@@ -141,8 +166,7 @@ def touching(under: UnderSide, heights: HeightMap, candidates: Candidates, rest:
 
 def base_share(under: UnderSide, touches: Array) -> Array:
     """f32[N]: the share of the base, the lowest of the columns, that touches; bool[N, C] from `touching`."""
-    lowest = jnp.min(jnp.where(under.is_column, under.bottom, jnp.inf))
-    is_base = under.is_column & (under.bottom < lowest + _BASE)
+    is_base = under.is_base
     return jnp.sum(touches & is_base, axis=1) / jnp.maximum(is_base.sum(), 1)
 
 
@@ -189,21 +213,8 @@ def _reduce(*terms: tuple[Array, Callable[[Array, Array], Array], float]) -> tup
 
 def cells_under(under: UnderSide, heights: HeightMap, candidates: Candidates) -> Array:
     """i32[N, C]: the cell under each column at each candidate."""
-    cos = jnp.cos(candidates.yaw)[:, None]
-    sin = jnp.sin(candidates.yaw)[:, None]
-    x = cos * under.xy[:, 0] - sin * under.xy[:, 1] + candidates.xy[:, 0, None]
-    y = sin * under.xy[:, 0] + cos * under.xy[:, 1] + candidates.xy[:, 1, None]
-    return heights.index_of(x, y)
-
-
-CLEARANCE = 0.001
-"""Metres above its rest at which an object is released."""
-
-FORBIDDEN = 1e6
-"""Added to the cost of poses that would not count."""
-
-_EDGE = 0.002
-_WINDOW_DOUBLINGS = 3
+    x, y = candidates.turned(under.xy)
+    return heights.index_of(x + candidates.xy[:, 0, None], y + candidates.xy[:, 1, None])
 
 
 @dataclass(frozen=True)
@@ -290,9 +301,8 @@ class Search(struct.PyTreeNode, eq=False):
     def __post_init__(self) -> None:
         if self.mapper is None:
             rules = self.rules
-            object.__setattr__(
-                self, "mapper", HeightMapper.of(rules.geometry, rules.region, rules.map_radius)
-            )
+            mapper = HeightMapper.of(rules.geometry, rules.region, rules.map_radius)
+            object.__setattr__(self, "mapper", mapper)
 
     def cost(self, scores: CandidateScores) -> Array:
         """f32[N]: what to keep low. Among equals the first is taken, which is a random one."""
@@ -372,11 +382,7 @@ class Search(struct.PyTreeNode, eq=False):
         support_map = self.rules.support_map_of(scene.episode) or self.rules.support_map
         assert support_map is not None
         under = scene.under
-        cos = jnp.cos(candidates.yaw)[:, None]
-        sin = jnp.sin(candidates.yaw)[:, None]
-        x = under.xy[:, 0]
-        y = under.xy[:, 1]
-        xy = jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=-1) + candidates.xy[:, None]
+        xy = jnp.stack(candidates.turned(under.xy), axis=-1) + candidates.xy[:, None]
         T_map_region = support_map.place(scene.episode.region.T_world_region)
         turn = T_map_region.rotation().as_matrix()[:2, :2]
         shift = T_map_region.translation()[:2]
@@ -388,32 +394,29 @@ class Search(struct.PyTreeNode, eq=False):
         episode = scene.episode
         half = self.rules.geometry.half_extents[scene.focus]
         containment = self.rules.config.containment
-        if (
-            containment == "center"
-            and not episode.keep_out.yaw.shape[0]
-            and self.rules.polygon is None
-        ):
+        is_bounded = episode.keep_out.yaw.shape[0] or self.rules.polygon is not None
+        if containment == "center" and not is_bounded:
             return jnp.ones_like(candidates.yaw, bool)
 
         def is_allowed(xy: Array, yaw: Array) -> Array:
             rotation = jaxlie.SO3.from_z_radians(yaw)
             if scene.body.quaternion is not None:
                 rotation = rotation @ jaxlie.SO3(scene.body.quaternion)
-            T_region_object = jaxlie.SE3.from_rotation_and_translation(
-                rotation, jnp.append(xy, 0.0)
-            )
+            position = jnp.append(xy, 0.0)
+            T_region_object = jaxlie.SE3.from_rotation_and_translation(rotation, position)
             pose = to_pose(episode.region.T_world_region @ T_region_object)
             is_kept_in = is_inside(pose, half, episode.region, containment)
             placed = on_map(self.rules.support_map_of(episode), pose)
-            is_kept_in &= self.rules.acceptance.is_in_polygon(placed, half)
+            is_kept_in &= self.rules.is_in_polygon(placed, half)
             return is_kept_in & ~is_kept_out(placed, half, episode.keep_out)
 
         return jax.vmap(is_allowed)(candidates.xy, candidates.yaw)
 
 
-def under_side(body: Body) -> UnderSide:
-    """The under-side of an object as it is released."""
-    return UnderSide(body.column_xy, body.column_bottom, body.is_column, body.center_of_mass[:2])
+def under_side(body: Body | Geometry | Orientations) -> UnderSide:
+    """The under-side of an object as it is released, or those of several: leading axes as they are."""
+    center = body.center_of_mass[..., :2]
+    return UnderSide(body.column_xy, body.column_bottom, body.is_column, center)
 
 
 def _lean(body: Body, region: Region) -> Array:
@@ -425,9 +428,8 @@ def _lean(body: Body, region: Region) -> Array:
 def draw_candidates(key: Array, region: Region, number: int) -> Candidates:
     """Uniform over one turn and over the region, but for 2 mm along its sides."""
     key_xy, key_yaw = jax.random.split(key)
-    xy = jax.random.uniform(key_xy, (number, 2), minval=-1.0) * jnp.maximum(
-        region.half_extents - _EDGE, 0.0
-    )
+    reach = jnp.maximum(region.half_extents - _EDGE, 0.0)
+    xy = jax.random.uniform(key_xy, (number, 2), minval=-1.0) * reach
     return Candidates(xy, jax.random.uniform(key_yaw, (number,), maxval=2 * jnp.pi))
 
 
@@ -435,7 +437,8 @@ def crowding(heights: HeightMap) -> HeightMap:
     """How much of the 8 x 8 cells around each cell is not bare top, 0 to 1; nothing beyond the map."""
     taken = (jnp.abs(heights.height) > _BARE).astype(jnp.float32)
     for axis in (0, 1):
-        for step in (2**power for power in range(_WINDOW_DOUBLINGS)):
+        for power in range(_WINDOW_DOUBLINGS):
+            step = 2**power
             sides = [(0, 0), (0, 0)]
             sides[axis] = ((step + 1) // 2, step // 2)
             padded = jnp.pad(taken, sides)

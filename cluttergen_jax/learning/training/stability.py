@@ -111,7 +111,7 @@ def example_of(explorer: Guided, before: Episode, transition: Transition) -> Exa
     is_at_rest = settling.is_quiet
     is_stable = transition.verdict == Verdict.STABLE
     is_fragile = transition.verdict == Verdict.FRAGILE
-    stands = is_stable | (is_fragile & rules.acceptance.is_supported(before, focus, settling))
+    stands = is_stable | (is_fragile & rules.is_supported(before, focus, settling))
     return Examples(
         features=features_of(rules, before, tried)[0],
         stands=stands,

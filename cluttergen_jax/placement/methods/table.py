@@ -1,5 +1,6 @@
 """The table of methods: what each is called, what it can be asked for, what it needs, and what makes it.
 
+A user's own method is a function of key and episode that gives an action, or of rules that gives such.
 Nothing heavy is imported here: the command line and `SceneSpec` read it. `config.Method` lists the same names
 for type checkers.
 """
