@@ -71,7 +71,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.generation.layouts import list_layouts, read_layout
     from cluttergen_jax.importing.poses import pool_poses, set_pose
     from cluttergen_jax.placement.region import KeepOut, make_region
-    from cluttergen_jax.placement.rollout.replay import Replay
+    from cluttergen_jax.placement.replay import Replay
     from cluttergen_jax.placement.scenes import SceneBatch
     from cluttergen_jax.scene import Scene
     from cluttergen_jax.scene.bank import Bank, read_bank
@@ -170,7 +170,7 @@ _MODULES = {
     "scene.bank.scene": ("read_scenes",),
     "scene.bank.stats": ("stats_of", "stats_text"),
     "placement.region": ("KeepOut", "make_region"),
-    "placement.rollout.replay": ("Replay",),
+    "placement.replay": ("Replay",),
     "placement.scenes": ("SceneBatch",),
     "generation.layouts": ("list_layouts", "read_layout"),
     "generation.environments": (

@@ -43,8 +43,14 @@ from cluttergen_jax.placement.config import (
     RUIN_AFTER,
     PlacementConfig,
 )
-from cluttergen_jax.placement.methods.own import OwnMethod
-from cluttergen_jax.placement.methods.table import TARGETS, TRUSTED, entry_of, find_method, takers
+from cluttergen_jax.placement.methods.table import (
+    TARGETS,
+    TRUSTED,
+    OwnMethod,
+    entry_of,
+    find_method,
+    takers,
+)
 from cluttergen_jax.placement.relations import conditions_of, parse_relations, parse_roles
 
 # What reads assets is imported where it is needed: this module is all that a command's `--help` loads.
@@ -473,7 +479,8 @@ class SceneSpec:
         from cluttergen_jax.assets.support import parse_polygon, parse_region, parse_surfaces
         from cluttergen_jax.assets.support_file import find_support
         from cluttergen_jax.physics import engine_of
-        from cluttergen_jax.placement.problem import ProblemConfig, check_number
+        from cluttergen_jax.placement.problem import ProblemConfig
+        from cluttergen_jax.placement.room import check_number
 
         pool = self.pool_text
         chosen = tuple(self.objects)

@@ -102,9 +102,14 @@ class ObjectAsset:
         return self.pieces or tuple(Piece(part.hull()) for part in self.parts)
 
     @property
+    def vertices(self) -> np.ndarray:
+        """f64[V, 3]: those of all parts, metres."""
+        return np.concatenate([part.vertices for part in self.parts])
+
+    @property
     def half_extents(self) -> np.ndarray:
         """f64[3]: half the size of the parts' bounding box, which is centred on the origin."""
-        vertices = np.concatenate([part.vertices for part in self.parts])
+        vertices = self.vertices
         return (vertices.max(0) - vertices.min(0)) / 2
 
     @property

@@ -36,8 +36,7 @@ from cluttergen_jax.learning.training.suite import (
     PAPERS_VARIANTS,
 )
 from cluttergen_jax.learning.training.worlds import HELD_OUT_FAMILIES, TRAINING_FAMILIES, variants
-from cluttergen_jax.placement.methods.own import OwnMethod
-from cluttergen_jax.placement.methods.table import LEARNED, METHODS, entry_of
+from cluttergen_jax.placement.methods.table import LEARNED, METHODS, OwnMethod, entry_of
 from cluttergen_jax.placement.problem import ProblemConfig, Standing
 from cluttergen_jax.scene.bank.reference import read_start
 from cluttergen_jax.spec import CROWD, MOST_ON_SHELF

@@ -39,16 +39,10 @@ from cluttergen_jax.physics import engine_of, make_physics
 from cluttergen_jax.physics.host import NumberedEngines, Physics
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.placement.boxes import footprint_area
-from cluttergen_jax.placement.problem import (
-    Problem,
-    ProblemConfig,
-    Setup,
-    area_asked,
-    make_setup,
-)
+from cluttergen_jax.placement.problem import Problem, ProblemConfig, Setup, make_setup
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout
+from cluttergen_jax.placement.room import area_asked, check_surface
 from cluttergen_jax.placement.shelves import Shelves
-from cluttergen_jax.placement.surface_set import check_surface
 from cluttergen_jax.placement.world import World
 from cluttergen_jax.progress import Progress, interruptible
 

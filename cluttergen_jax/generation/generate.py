@@ -24,8 +24,9 @@ from cluttergen_jax.generation.files import write_files
 from cluttergen_jax.generation.recipe import recipe_of
 from cluttergen_jax.generation.sampler import set_up_bank
 from cluttergen_jax.learning.methods import DEFAULT_METHOD, sampler_of
-from cluttergen_jax.placement.problem import Problem, area_of, crowding
+from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.rollout import blocks_of
+from cluttergen_jax.placement.room import area_of, crowding
 from cluttergen_jax.scene.bank import Bank, BankWriter, read_bank
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.remote import publish_all, url_of

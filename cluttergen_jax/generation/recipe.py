@@ -15,8 +15,7 @@ from cluttergen_jax.config import ContactConfig, StabilityConfig, stability_reco
 from cluttergen_jax.learning.methods import Method
 from cluttergen_jax.physics import engine_of
 from cluttergen_jax.placement.config import PlacementConfig, placement_record
-from cluttergen_jax.placement.methods.own import OwnMethod
-from cluttergen_jax.placement.methods.table import entry_of
+from cluttergen_jax.placement.methods.table import OwnMethod, entry_of
 from cluttergen_jax.placement.problem import Problem, ProblemConfig
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.scene.bank.record import Recipe

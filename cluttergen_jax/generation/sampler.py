@@ -31,8 +31,7 @@ from cluttergen_jax.numerics import as_float32, with_own_settings
 from cluttergen_jax.placement.observation import ObservationConfig, observe
 from cluttergen_jax.placement.problem import Problem, Setup, make_setup
 from cluttergen_jax.placement.region import KeepOut, Region
-from cluttergen_jax.placement.rollout import BlockSampler
-from cluttergen_jax.placement.rollout.run import varying_alike
+from cluttergen_jax.placement.rollout import BlockSampler, varying_alike
 from cluttergen_jax.placement.scenes import BLOCK_SIZE, SceneBatch, scene_of
 from cluttergen_jax.placement.shelves import Shelves
 from cluttergen_jax.placement.types import Episode, Start

@@ -12,7 +12,7 @@ from cluttergen_jax.numerics import as_float32, new_key, with_own_settings
 from cluttergen_jax.placement.brax_env import Env, State, Wrapper
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.search.search import CLEARANCE
+from cluttergen_jax.placement.search import CLEARANCE
 from cluttergen_jax.types import Array
 
 

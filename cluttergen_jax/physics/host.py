@@ -53,64 +53,77 @@ class Physics(Protocol):
         ...
 
 
+SUMS = ("motion_sum", "speed_sum", "shift", "turn")
+"""Of a `stability.Track`, what a `Settling` tells as it is, where the scene has not diverged."""
+
+
+def _zeros(xp: Any, batch: tuple[int, ...]) -> Callable[..., Any]:
+    """Makes zeros of a type and of some axes behind those of a batch."""
+    return lambda kind, *shape: xp.zeros((*batch, *shape), dtype=kind)
+
+
+def _not_judged(xp: Any, batch: tuple[int, ...]) -> Any:
+    return xp.full(batch, int(Verdict.NONE), dtype=xp.int32)
+
+
 def empty_settling(
     xp: Any, batch: tuple[int, ...], num_objects: int, config: StabilityConfig
 ) -> Settling:
     """The report of scenes that were not judged: verdict NONE, everything else zero."""
+    zeros = _zeros(xp, batch)
     return Settling(
-        verdict=xp.full(batch, int(Verdict.NONE), dtype=xp.int32),
-        num_steps=xp.zeros(batch, dtype=xp.int32),
-        check_steps=xp.zeros(batch, dtype=xp.int32),
-        poses=xp.zeros((*batch, num_objects, 7), dtype=xp.float32),
-        trajectory=xp.zeros((*batch, config.last_step + 1, 13), dtype=xp.float32),
-        motion_sum=xp.zeros(batch, dtype=xp.float32),
-        speed_sum=xp.zeros(batch, dtype=xp.float32),
-        shift=xp.zeros((*batch, num_objects), dtype=xp.float32),
-        turn=xp.zeros((*batch, num_objects), dtype=xp.float32),
-        penetration=xp.zeros(batch, dtype=xp.float32),
-        is_quiet=xp.zeros(batch, dtype=xp.bool),
-        margin=xp.zeros((*batch, num_objects), dtype=xp.float32),
-        touches=xp.zeros((*batch, num_objects), dtype=xp.bool),
-        bears=xp.zeros((*batch, num_objects), dtype=xp.bool),
+        verdict=_not_judged(xp, batch),
+        num_steps=zeros(xp.int32),
+        check_steps=zeros(xp.int32),
+        poses=zeros(xp.float32, num_objects, 7),
+        trajectory=zeros(xp.float32, config.last_step + 1, 13),
+        motion_sum=zeros(xp.float32),
+        speed_sum=zeros(xp.float32),
+        shift=zeros(xp.float32, num_objects),
+        turn=zeros(xp.float32, num_objects),
+        penetration=zeros(xp.float32),
+        is_quiet=zeros(xp.bool),
+        margin=zeros(xp.float32, num_objects),
+        touches=zeros(xp.bool, num_objects),
+        bears=zeros(xp.bool, num_objects),
     )
 
 
 def empty_standing(xp: Any, batch: tuple[int, ...], num_objects: int) -> Standing:
     """The report of scenes whose last check was not run: verdict NONE, everything else zero."""
+    zeros = _zeros(xp, batch)
     return Standing(
-        verdict=xp.full(batch, int(Verdict.NONE), dtype=xp.int32),
-        num_steps=xp.zeros(batch, dtype=xp.int32),
-        shift=xp.zeros((*batch, num_objects), dtype=xp.float32),
-        turn=xp.zeros((*batch, num_objects), dtype=xp.float32),
-    )
-
-
-@lru_cache(maxsize=64)
-def _report_shapes(num_objects: int, config: StabilityConfig) -> tuple[Any, Any]:
-    """The reports of `settle` and `stand` with the shape of each field in its place."""
-    return (
-        jax.eval_shape(lambda: empty_settling(jnp, (), num_objects, config)),
-        jax.eval_shape(lambda: empty_standing(jnp, (), num_objects)),
+        verdict=_not_judged(xp, batch),
+        num_steps=zeros(xp.int32),
+        shift=zeros(xp.float32, num_objects),
+        turn=zeros(xp.float32, num_objects),
     )
 
 
 def empty_piling(xp: Any, batch: tuple[int, ...], num_objects: int) -> Piling:
     """The report of scenes that were not piled: verdict NONE, everything else zero."""
-
-    def numbers(*shape: int) -> Any:
-        return xp.zeros((*batch, *shape), dtype=xp.int32)
-
+    zeros = _zeros(xp, batch)
     return Piling(
-        verdict=xp.full(batch, int(Verdict.NONE), dtype=xp.int32),
-        num_steps=numbers(),
-        check_steps=numbers(),
-        poses=xp.zeros((*batch, num_objects, 7), dtype=xp.float32),
-        releases=numbers(num_objects),
-        steps=numbers(num_objects),
-        drift=xp.zeros(batch, dtype=xp.float32),
-        penetration=xp.zeros(batch, dtype=xp.float32),
-        touches=xp.zeros((*batch, num_objects, num_objects), dtype=xp.bool),
-        level=numbers(num_objects),
+        verdict=_not_judged(xp, batch),
+        num_steps=zeros(xp.int32),
+        check_steps=zeros(xp.int32),
+        poses=zeros(xp.float32, num_objects, 7),
+        releases=zeros(xp.int32, num_objects),
+        steps=zeros(xp.int32, num_objects),
+        drift=zeros(xp.float32),
+        penetration=zeros(xp.float32),
+        touches=zeros(xp.bool, num_objects, num_objects),
+        level=zeros(xp.int32, num_objects),
+    )
+
+
+@lru_cache(maxsize=64)
+def _report_shapes(num_objects: int, config: StabilityConfig) -> tuple[Any, Any, Any]:
+    """The reports of `settle`, `stand` and `pile` with the shape of each field in its place."""
+    return (
+        jax.eval_shape(lambda: empty_settling(jnp, (), num_objects, config)),
+        jax.eval_shape(lambda: empty_standing(jnp, (), num_objects)),
+        jax.eval_shape(lambda: empty_piling(jnp, (), num_objects)),
     )
 
 
@@ -213,13 +226,9 @@ class HostPhysics(OneScenePhysics):
     stand_batch: HostFunction
 
     def __init__(self, num_objects: int, config: StabilityConfig) -> None:
-        settling, standing = _report_shapes(num_objects, config)
-        super().__init__(
-            config,
-            host_function(self.settle_batch, settling),
-            host_function(self.stand_batch, standing),
-        )
-        self._piling = jax.eval_shape(lambda: empty_piling(jnp, (), num_objects))
+        settling, standing, self._piling = _report_shapes(num_objects, config)
+        settle = host_function(self.settle_batch, settling)
+        super().__init__(config, settle, host_function(self.stand_batch, standing))
 
     def pile(self, *asked: Array) -> Piling:
         """One pile.
@@ -254,10 +263,9 @@ class NumberedEngines:
         self._make = make
         self._lock = threading.RLock()
         self._at_hand: tuple[int, BatchEngine] | None = None
-        settling, standing = _report_shapes(num_objects, config)
+        settling, standing, piling = _report_shapes(num_objects, config)
         self.settle_one = host_function(partial(self._batch, "settle_batch"), settling)
         self.stand_one = host_function(partial(self._batch, "stand_batch"), standing)
-        piling = jax.eval_shape(lambda: empty_piling(jnp, (), num_objects))
         self.pile_one = host_function(partial(self._batch, "pile_batch"), piling)
 
     def with_number(self, number: Array) -> HostPhysics:
@@ -290,10 +298,10 @@ class NumberedEngines:
             if len(numbers) == 1:
                 return getattr(self.engine(int(numbers[0])), what)(*arrays)
             rows = [np.flatnonzero(number == each) for each in numbers]
-            parts = [
-                getattr(self.engine(int(each)), what)(*(array[at] for array in arrays))
-                for each, at in zip(numbers, rows, strict=True)
-            ]
+            parts = []
+            for each, at in zip(numbers, rows, strict=True):
+                run = getattr(self.engine(int(each)), what)
+                parts.append(run(*(array[at] for array in arrays)))
         order = np.argsort(np.concatenate(rows))
         return jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *parts)
 
@@ -304,8 +312,8 @@ class _Numbered(HostPhysics):
     def __init__(self, engines: NumberedEngines, number: Array) -> None:
         self._engines = engines
         self._number = number
-        settle, stand = (partial(each, number) for each in (engines.settle_one, engines.stand_one))
-        OneScenePhysics.__init__(self, engines.config, settle, stand)
+        settle = partial(engines.settle_one, number)
+        OneScenePhysics.__init__(self, engines.config, settle, partial(engines.stand_one, number))
 
     def pile(self, *asked: Array) -> Piling:
         """See `HostPhysics`."""
@@ -362,18 +370,14 @@ def _flatten_axes(function: HostFunction) -> HostFunction:
         arrays = [np.asarray(array) for array in args]
         batch = arrays[-1].shape
         num_scenes = int(np.prod(batch))
-        result = function(
-            *(array.reshape((num_scenes, *array.shape[len(batch) :])) for array in arrays)
-        )
+        flat = [array.reshape((num_scenes, *array.shape[len(batch) :])) for array in arrays]
+        result = function(*flat)
         return jax.tree.map(lambda array: array.reshape((*batch, *array.shape[1:])), result)
 
     return call
 
 
-BatchFunction = Callable[..., Any]
-
-
-def one_scene(batched: BatchFunction) -> BatchFunction:
+def one_scene(batched: HostFunction) -> HostFunction:
     """A function of one scene that runs `batched`, whose arguments and results have a leading scene axis.
 
     `vmap` makes it one call of `batched`, and `vmap` of `vmap` one call with the axes flattened into one.

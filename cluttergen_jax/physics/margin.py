@@ -4,7 +4,7 @@ The support of a body is the convex polygon of the points at which something bel
 the centre of mass lies over it, gravity tips nothing; the nearer it is to an edge, the smaller a push, a tilt
 or another simulator's error has to be to do so.
 
-`support_margin` takes one set of points in a few microseconds; `mjx_scenes.support_margins` is its like
+`support_margin` takes one set of points in a few microseconds; `mjx.support_margins` is its like
 for a batch in JAX.
 """
 
@@ -89,7 +89,8 @@ def bearers_of(layout: Layout, data: mujoco.MjData, index: int) -> np.ndarray:
     lift = contact.frame[:, 2]
     carried, carrier = np.where(lift > 0, pair.T[::-1], pair.T)
     bears = np.zeros(layout.num_objects + 1, bool)
-    bears[carrier[(carried == index) & (np.abs(lift) >= MIN_LIFT) & (contact.dist < 0)]] = True
+    presses = (np.abs(lift) >= MIN_LIFT) & (contact.dist < 0)
+    bears[carrier[presses & (carried == index)]] = True
     return bears[:-1]
 
 
@@ -110,12 +111,10 @@ def margins_of(layout: Layout, data: mujoco.MjData, objects: np.ndarray) -> np.n
     carried[(np.abs(lift) < MIN_LIFT) | (contact.dist > 0)] = -1
     position = contact.pos[:, :2]
     centers = data.xipos[layout.body_index[objects], :2]
-    return np.array(
-        [
-            support_margin(position[carried == k] - center)
-            for k, center in zip(objects, centers, strict=True)
-        ]
-    )
+    margins = []
+    for index, center in zip(objects, centers, strict=True):
+        margins.append(support_margin(position[carried == index] - center))
+    return np.array(margins)
 
 
 class OverlapProbe:

@@ -3,7 +3,7 @@
 MJX compiles a function of its own for every pair of distinct meshes: seconds each, and ten objects have
 hundreds of pairs. Here all parts are filled up to one size (corners, faces and edges that stand there twice
 change nothing), so that one function, MJX's own, serves every pair, in blocks. Of many pairs only the nearest
-are looked at, by their boxes; a scene in which more are near is told by `Pairs.overflowed`.
+are looked at, by their boxes; a scene in which more are near is told by `ConvexPairs.has_overflowed`.
 """
 
 from __future__ import annotations
@@ -86,8 +86,8 @@ class _Shapes(struct.PyTreeNode):
     edge_face_normal: Array
 
 
-class Pairs:
-    """The pairs of parts of a model that may touch, and how they are find_contacts.
+class ConvexPairs:
+    """The pairs of parts of a model that may touch, and how their contacts are found.
 
     Args:
       model: of boxes and meshes, all of the same contact parameters but for friction, and condim.

@@ -21,6 +21,7 @@ from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.geometry import rotate
 from cluttergen_jax.physics import stability
 from cluttergen_jax.physics.host import (
+    SUMS,
     HostPhysics,
     below_top,
     empty_piling,
@@ -47,8 +48,6 @@ _FEW = 4
 _OTHER_STEPS = 30
 _OTHER_SHIFT = 0.0005
 _OTHER_TURN = math.radians(0.5)
-
-_DOWN = np.array([0.0, 0.0, -1.0])
 
 _OTHER_SHARE = 3
 """The second detector is asked in a third of the steps: it finds one fragile attempt in a hundred more, and
@@ -150,9 +149,8 @@ class NativePhysics(HostPhysics):
                 block = indices[start : start + PILES_AT_ONCE]
                 if self._walled is None:
                     self._walled = walled_simulations(self.layout, PILES_AT_ONCE, self._num_threads)
-                made = Piler(
-                    self, self._walled, PileRequest(*(each[block] for each in asked))
-                ).run()
+                request = PileRequest(*(each[block] for each in asked))
+                made = Piler(self, self._walled, request).run()
                 for into, each in zip(jax.tree.leaves(result), jax.tree.leaves(made), strict=True):
                     into[block] = each
         return result
@@ -203,7 +201,8 @@ class NativePhysics(HostPhysics):
         # No pair is allowed less than this, whatever it overlapped by before.
         if deepest <= min(self.config.max_added_penetration, self.config.max_penetration):
             return AtRest(False, deepest, margin, touches, bears)
-        depths_before = self.probe.depths(before, is_placed & (np.arange(len(is_placed)) != focus))
+        is_other = np.arange(len(is_placed)) != focus
+        depths_before = self.probe.depths(before, is_placed & is_other)
         if depths_before is None:
             return None
         too_much = stability.penetrates(np, depths.ravel(), depths_before.ravel(), self.config)
@@ -222,23 +221,16 @@ class NativePhysics(HostPhysics):
         running = np.arange(len(block))
         while running.size:
             at = block[running]
-            motion = sims.run(
-                running, self._steps_to_verdict(int(result.num_steps[at[0]]), len(at), config)
-            )
+            num_steps = self._steps_to_verdict(int(result.num_steps[at[0]]), len(at), config)
+            motion = sims.run(running, num_steps)
             shift, turn = displacement(np, motion.poses, start[running, None])
             is_made = np.arange(shift.shape[1]) < (motion.num_steps - ~motion.is_finite)[:, None]
             counts = is_placed[running, None] & is_made[..., None]
             result.num_steps[at] += motion.num_steps
             result.shift[at] = np.maximum(result.shift[at], np.where(counts, shift, 0.0).max(1))
             result.turn[at] = np.maximum(result.turn[at], np.where(counts, turn, 0.0).max(1))
-            verdict = verdict_of_scene(
-                np,
-                result.num_steps[at],
-                result.shift[at],
-                result.turn[at],
-                is_placed[running],
-                config,
-            )
+            reached = (result.num_steps[at], result.shift[at], result.turn[at])
+            verdict = verdict_of_scene(np, *reached, is_placed[running], config)
             verdict[motion.overflowed] = Verdict.OVERFLOW
             verdict[~motion.is_finite] = Verdict.NON_FINITE
             result.verdict[at] = verdict
@@ -283,9 +275,8 @@ class _Attempt:
         self.rows = np.arange(num)
         self.is_neighbour = is_placed & (np.arange(num_objects) != focus[:, None])
         self.sims = engine.simulations(num)
-        self.start = self.sims.release(
-            poses, is_placed, never_sleeps=is_placed & ~self.is_neighbour
-        )
+        is_focus = is_placed & ~self.is_neighbour
+        self.start = self.sims.release(poses, is_placed, never_sleeps=is_focus)
         self.track = stability.new_track(np, (num,), num_objects, np.float64)
         self.trajectory = np.zeros((num, engine.config.last_step + 1, 13), np.float32)
         self.trajectory[:, 0, :7] = self.start[self.rows, focus]
@@ -326,9 +317,8 @@ class _Attempt:
         is_running = np.ones(num, bool)
         for step in range(velocity.shape[1]):
             made = stability.StepMotion(*(field[:, step] for field in steps))
-            after = stability.advance(
-                np, track, made, shift[:, step], turn[:, step], self.engine.config
-            )
+            config = self.engine.config
+            after = stability.advance(np, track, made, shift[:, step], turn[:, step], config)
             track = after if is_running.all() else _where_running(is_running, after, track)
             num_steps += is_running
             has_failed = (motion.overflowed | ~motion.is_finite) & (num_steps == motion.num_steps)
@@ -366,14 +356,10 @@ class _Attempt:
         )
         result.num_steps[block] = track.step
         result.poses[block] = final
-        for field, values in (
-            (result.trajectory, self.trajectory),
-            (result.motion_sum, track.motion_sum),
-            (result.speed_sum, track.speed_sum),
-            (result.shift, track.shift),
-            (result.turn, track.turn),
-        ):
-            field[block] = mask_scenes(np, values, self.is_finite)
+        result.trajectory[block] = mask_scenes(np, self.trajectory, self.is_finite)
+        for name in SUMS:
+            values = mask_scenes(np, getattr(track, name), self.is_finite)
+            getattr(result, name)[block] = values
 
     def disturb(self, result: Settling, block: np.ndarray) -> None:
         """Looks which of the block's stable attempts are fragile, and writes that into `result`."""
@@ -390,22 +376,18 @@ class _Attempt:
         penetrates = np.zeros(len(block), bool)
         is_moved = self.is_placed & (~self.is_neighbour | (self.track.shift >= MIN_SHIFT))
         for row in np.flatnonzero(self.track.is_quiet & self.is_finite & ~self.overflowed):
-            found = self.engine.at_rest(
-                self.poses[row],
-                final[row],
-                self.is_placed[row],
-                int(self.focus[row]),
-                is_moved[row],
-            )
+            focus = int(self.focus[row])
+            scene = (self.poses[row], final[row], self.is_placed[row])
+            found = self.engine.at_rest(*scene, focus, is_moved[row])
             if found is None:
                 self.overflowed[row] = True
-            else:
-                penetrates[row] = found.penetrates
-                at = block[row]
-                result.penetration[at] = found.penetration
-                result.margin[at] = found.margin
-                result.touches[at] = found.touches
-                result.bears[at] = found.bears
+                continue
+            penetrates[row] = found.penetrates
+            at = block[row]
+            result.penetration[at] = found.penetration
+            result.margin[at] = found.margin
+            result.touches[at] = found.touches
+            result.bears[at] = found.bears
         return penetrates
 
 
@@ -413,9 +395,8 @@ def _where_running(
     is_running: np.ndarray, after: stability.Track, track: stability.Track
 ) -> stability.Track:
     """The track of those that run after a step, and of the others as it was."""
-    return stability.Track(
-        *(where(np, is_running, *pair) for pair in zip(after, track, strict=True))
-    )
+    pairs = zip(after, track, strict=True)
+    return stability.Track(*(where(np, is_running, *pair) for pair in pairs))
 
 
 def _is_sound(poses: np.ndarray, is_placed: np.ndarray) -> np.ndarray:
@@ -473,8 +454,7 @@ def _disturb(
     num_steps = np.zeros(len(poses), np.int32)
     is_focus = np.arange(poses.shape[1]) == focus[:, None]
     start = sims.release(poses, is_placed, never_sleeps=is_focus & is_placed)
-    sims.loosen_contacts(config.robust_friction)
-    try:
+    with sims.loosen_contacts(config.robust_friction):
         for down in _directions(config.robust_tilt, config.robust_steps):
             running = np.flatnonzero(verdict == int(Verdict.STABLE))
             if not running.size:
@@ -491,9 +471,6 @@ def _disturb(
             is_fragile = (is_placed[running] & is_off).any(1) | ~is_finite
             verdict[running[is_fragile]] = Verdict.FRAGILE
             verdict[running[overflowed]] = Verdict.OVERFLOW
-    finally:
-        sims.restore_contacts()
-        sims.turn_gravity(_DOWN)
     return verdict, num_steps
 
 

@@ -166,9 +166,9 @@ class Piler:
             slot = turns[:, turn]
             at = np.flatnonzero(is_due[ids, slot])
             which = order[at, slot[at]]
-            sims.rouse(
-                at, which, self._pose_above(rows[at], which, slot[at], sims.poses(at), is_there[at])
-            )
+            poses = sims.poses(at)
+            above = self._pose_above(rows[at], which, slot[at], poses, is_there[at])
+            sims.rouse(at, which, above)
             is_there[at, which] = True
             self.result.releases[rows[at], which] += 1
             self._latest[rows[at]] = which
@@ -176,9 +176,7 @@ class Piler:
         self._advance(sims, rows, ids, FALL)
         self.is_pending[rows] = False
         self.rounds[rows] = 0
-        overflowed, is_finite = self._take_poses(sims, rows, ids)
-        self._give_up(rows[~is_finite], Verdict.NON_FINITE)
-        self._give_up(rows[overflowed], Verdict.OVERFLOW)
+        self._give_up_failed(rows, *self._take_poses(sims, rows, ids))
         self._go_on(rows, self._first_round)
 
     @property
@@ -265,18 +263,14 @@ class Piler:
         if not rows.size:
             return
         self._advance(self.plain, rows, ids, REST - config.stand_steps)
-        overflowed, is_finite = self._take_poses(self.plain, rows, ids)
-        self._give_up(rows[~is_finite], Verdict.NON_FINITE)
-        self._give_up(rows[overflowed], Verdict.OVERFLOW)
+        self._give_up_failed(rows, *self._take_poses(self.plain, rows, ids))
         self.rounds[rows] += 1
         is_moving = self._moves(rows, start, REST_SHIFT, REST_TURN)
         self._go_on(rows[~is_moving.any(1)], _Stage.CHECK)
-        is_late = (
-            is_moving.any(1) & (self.rounds[rows] >= MAX_ROUNDS) & (self.stage[rows] == _Stage.REST)
-        )
-        self._release_again(
-            rows[is_late], is_moving[is_late], np.full(is_late.sum(), Verdict.UNSETTLED)
-        )
+        is_late = is_moving.any(1) & (self.rounds[rows] >= MAX_ROUNDS)
+        is_late &= self.stage[rows] == _Stage.REST
+        unsettled = np.full(is_late.sum(), Verdict.UNSETTLED)
+        self._release_again(rows[is_late], is_moving[is_late], unsettled)
 
     def _moves(
         self, rows: np.ndarray, start: np.ndarray, max_shift: float, max_turn: float
@@ -365,6 +359,12 @@ class Piler:
         rows = rows[self.stage[rows] != _Stage.OVER]
         self.result.verdict[rows] = int(verdict)
         self.stage[rows] = _Stage.OVER
+
+    def _give_up_failed(
+        self, rows: np.ndarray, overflowed: np.ndarray, is_finite: np.ndarray
+    ) -> None:
+        self._give_up(rows[~is_finite], Verdict.NON_FINITE)
+        self._give_up(rows[overflowed], Verdict.OVERFLOW)
 
     def _look_at_rest(self) -> None:
         """Overlaps and contacts of the piles that stand; what overlaps too much does not."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from typing import NamedTuple
+from contextlib import AbstractContextManager, contextmanager
+from operator import attrgetter
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -134,33 +135,44 @@ class Simulations:
         )
 
     @contextmanager
-    def lower_friction(self, friction: float, drag: float, turning_drag: float) -> Iterator[None]:
+    def _changed(self, values: dict[str, Any]) -> Iterator[None]:
+        """Inside, fields of all simulations have these values; after it those of the model again."""
+        for name, value in values.items():
+            self._batch.expand(name)[:] = value
+        try:
+            yield
+        finally:
+            for name in values:
+                self._batch.expand(name)[:] = attrgetter(name)(self._batch.model)
+
+    def lower_friction(
+        self, friction: float, drag: float, turning_drag: float
+    ) -> AbstractContextManager[None]:
         """Inside, friction is `friction` times as much and yields, and motion decays; then all is as it was.
 
         Args:
           drag, turning_drag: 1/s, by which speeds and angular speeds decay.
         """
         model = self._batch.model
-        self._batch.expand("geom_friction")[:] = friction * model.geom_friction
-        self._batch.expand("dof_damping")[:] = damping_of(model, drag, turning_drag)
-        self._batch.expand("opt.noslip_iterations")[:] = 0
-        try:
-            yield
-        finally:
-            self._batch.expand("opt.noslip_iterations")[:] = model.opt.noslip_iterations
-            for name in ("geom_friction", "dof_damping"):
-                self._batch.expand(name)[:] = getattr(model, name)
+        return self._changed(
+            {
+                "geom_friction": friction * model.geom_friction,
+                "dof_damping": damping_of(model, drag, turning_drag),
+                "opt.noslip_iterations": 0,
+            }
+        )
 
-    def loosen_contacts(self, friction: float) -> None:
-        """From now on friction is `friction` times as much, and contacts are as soft as MuJoCo's default."""
-        self._batch.expand("geom_friction")[:] = friction * self._batch.model.geom_friction
-        self._batch.expand("geom_solref")[:] = SOFT_SOLREF
-        self._batch.expand("geom_solimp")[:] = SOFT_SOLIMP
-
-    def restore_contacts(self) -> None:
-        """From now on contacts are the model's own again."""
-        for name in ("geom_friction", "geom_solref", "geom_solimp"):
-            self._batch.expand(name)[:] = getattr(self._batch.model, name)
+    def loosen_contacts(self, friction: float) -> AbstractContextManager[None]:
+        """Inside, friction is `friction` times as much, contacts are as soft as MuJoCo's default."""
+        model = self._batch.model
+        return self._changed(
+            {
+                "geom_friction": friction * model.geom_friction,
+                "geom_solref": SOFT_SOLREF,
+                "geom_solimp": SOFT_SOLIMP,
+                "opt.gravity": model.opt.gravity,
+            }
+        )
 
     def turn_gravity(self, direction: np.ndarray) -> None:
         """From now on gravity, as strong as the model's, points along the unit vector `direction`, f[3]."""

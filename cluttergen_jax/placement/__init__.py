@@ -26,7 +26,7 @@ if TYPE_CHECKING:
         conditions_of,
         parse_relations,
     )
-    from cluttergen_jax.placement.rollout.replay import Replay
+    from cluttergen_jax.placement.replay import Replay
     from cluttergen_jax.placement.rules import Proposer, Rules
     from cluttergen_jax.placement.search import (
         CLEARANCE,
@@ -63,7 +63,7 @@ __getattr__, __all__ = offer(
             "conditions_of",
             "parse_relations",
         ),
-        "rollout.replay": ("Replay",),
+        "replay": ("Replay",),
         "rules": ("Proposer", "Rules"),
         "search": (
             "CLEARANCE",

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from cluttergen_jax.placement.region import from_pose
+from cluttergen_jax.placement.region import from_pose, safe_poses
 from cluttergen_jax.types import Array
 
 NUM_CAMERAS = 8
@@ -31,9 +31,17 @@ class Boxes(struct.PyTreeNode):
         """From half extents f32[N, 3] and world poses f32[N, 7]."""
         T_world_object = from_pose(poses)
         turn = T_world_object.rotation().as_matrix()
-        return Boxes(
-            T_world_object.translation(), jnp.swapaxes(turn, -1, -2) * half_extents[..., None]
-        )
+        sides = jnp.swapaxes(turn, -1, -2) * half_extents[..., None]
+        return Boxes(T_world_object.translation(), sides)
+
+    def take(self, index: Array) -> Boxes:
+        """Those at `index`, i32[M]."""
+        return Boxes(self.center[index], self.sides[index])
+
+    def repeat(self, number: int) -> Boxes:
+        """One box, its arrays without the leading axis, so many times."""
+        center = jnp.broadcast_to(self.center, (number, 3))
+        return Boxes(center, jnp.broadcast_to(self.sides, (number, 3, 3)))
 
     def reach(self, directions: Array) -> Array:
         """f32[N, D]: how far each box extends from its centre along unit vectors f32[D, 3]."""
@@ -102,16 +110,12 @@ def gaps(ours: Boxes, theirs: Boxes) -> Array:
     It is the widest strip along a side of either box that holds neither of them: the distance of two
     rectangles, and less only where they are nearest at two corners.
     """
-    directions = jnp.concatenate(
-        [
-            jnp.broadcast_to(axes, (ours.center.shape[0], theirs.center.shape[0], 2, 3))
-            for axes in (_axes(ours)[:, None], _axes(theirs)[None])
-        ],
-        axis=2,
-    )
-    offset = jnp.abs(
-        jnp.einsum("nkdx,nkx->nkd", directions, ours.center[:, None] - theirs.center[None])
-    )
+    shape = (ours.center.shape[0], theirs.center.shape[0], 2, 3)
+    along_ours = jnp.broadcast_to(_axes(ours)[:, None], shape)
+    along_theirs = jnp.broadcast_to(_axes(theirs)[None], shape)
+    directions = jnp.concatenate([along_ours, along_theirs], axis=2)
+    away = ours.center[:, None] - theirs.center[None]
+    offset = jnp.abs(jnp.einsum("nkdx,nkx->nkd", directions, away))
     wide = jnp.abs(jnp.einsum("nkdx,nax->nkda", directions, ours.sides)).sum(-1)
     wide += jnp.abs(jnp.einsum("nkdx,kax->nkda", directions, theirs.sides)).sum(-1)
     return jnp.maximum(jnp.max(offset - wide, axis=-1), 0.0)
@@ -137,8 +141,10 @@ def hidden_shares(ours: Views, theirs: Views) -> Array:
 
     In front is whose centre is nearer to the camera: horizontally, unless neither is wholly before the other.
     """
-    low = jnp.maximum((ours.middle - ours.half)[:, None], (theirs.middle - theirs.half)[None])
-    high = jnp.minimum((ours.middle + ours.half)[:, None], (theirs.middle + theirs.half)[None])
+    our_low = ours.middle - ours.half
+    our_high = ours.middle + ours.half
+    low = jnp.maximum(our_low[:, None], (theirs.middle - theirs.half)[None])
+    high = jnp.minimum(our_high[:, None], (theirs.middle + theirs.half)[None])
     covered = jnp.prod(jnp.maximum(high - low, 0.0), axis=-1)
     area = jnp.maximum(4 * jnp.prod(ours.half, axis=-1), 1e-9)
     before = theirs.ahead[None] - ours.ahead[:, None]
@@ -167,9 +173,7 @@ def spacing_of(half_extents: Array, poses: Array, is_there: Array) -> tuple[Arra
     Args:
       half_extents: f32[K, 3], metres; poses: f32[K, 7], world; is_there: bool[K].
     """
-    boxes = Boxes.of(
-        half_extents, jnp.where(is_there[:, None], poses, jnp.eye(7, dtype=jnp.float32)[3])
-    )
+    boxes = Boxes.of(half_extents, safe_poses(poses, is_there))
     number = jnp.maximum(is_there.sum(), 1)
     hidden = jnp.where(is_there, 1.0 - seen_shares(Views.of(boxes), is_there).mean(1), 0.0)
     return nearest_gaps(boxes, is_there).sum() / number, hidden.sum() / number

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from cluttergen_jax.placement.boxes import Boxes, footprint_area, is_over, reach_up
+from cluttergen_jax.placement.region import safe_poses
 from cluttergen_jax.placement.types import Geometry, Hollows
 from cluttergen_jax.types import Array
 
@@ -34,10 +35,8 @@ def is_in(subjects: Boxes, openings: Boxes) -> Array:
     Its middle is over the opening, its lowest point between floor and rim, it is not much wider than the
     opening, as what stands across it is, and the opening faces upwards.
     """
-    wide, room = (
-        jnp.sort(jnp.linalg.norm(each.sides[..., :2], axis=-1))[:, 1:]
-        for each in (subjects, openings)
-    )
+    wide = _two_longest(subjects)
+    room = _two_longest(openings)
     is_narrow = jnp.all(wide <= _MOST_WIDE * room, axis=1)
     low = subjects.center[:, 2] - reach_up(subjects)
     rim = openings.center[:, 2] + reach_up(openings)
@@ -45,25 +44,19 @@ def is_in(subjects: Boxes, openings: Boxes) -> Array:
     is_above = low > openings.center[:, 2] - reach_up(openings) - BELOW_RIM
     up = openings.sides[:, 2]
     is_upright = up[:, 2] > _MOST_TILTED * jnp.linalg.norm(up, axis=-1)
-    return (
-        is_over(subjects.center, openings, 1.0)
-        & (low < rim - BELOW_RIM)
-        & is_above
-        & is_narrow
-        & is_upright
-    )
+    is_within = is_over(subjects.center, openings, 1.0) & (low < rim - BELOW_RIM)
+    return is_within & is_above & is_narrow & is_upright
+
+
+def _two_longest(boxes: Boxes) -> Array:
+    """f32[N, 2]: how far each box reaches in plan along its two longest sides, ascending."""
+    return jnp.sort(jnp.linalg.norm(boxes.sides[..., :2], axis=-1))[:, 1:]
 
 
 def pairs_in(subjects: Boxes, openings: Boxes) -> Array:
     """bool[N, K]: which of N boxes are in which of K openings; an object is over its own."""
-
-    def one_in_all(center: Array, sides: Array) -> Array:
-        shape = openings.center.shape
-        return is_in(
-            Boxes(jnp.broadcast_to(center, shape), jnp.broadcast_to(sides, (*shape, 3))), openings
-        )
-
-    return jax.vmap(one_in_all)(subjects.center, subjects.sides)
+    number = len(openings.center)
+    return jax.vmap(lambda box: is_in(box.repeat(number), openings))(subjects)
 
 
 def is_contained(boxes: Boxes, openings: Boxes, is_there: Array, is_container: Array) -> Array:
@@ -78,11 +71,9 @@ def num_contained(half_extents: Array, hollows: Hollows, poses: Array, is_there:
     Args:
       half_extents: f32[K, 3], metres; poses: f32[K, 7], world; is_there: bool[K].
     """
-    poses = jnp.where(is_there[:, None], poses, jnp.eye(7, dtype=jnp.float32)[3])
-    is_container = hollows.is_container
-    return is_contained(
-        Boxes.of(half_extents, poses), hollows.boxes(poses), is_there, is_container
-    ).sum()
+    poses = safe_poses(poses, is_there)
+    boxes = Boxes.of(half_extents, poses)
+    return is_contained(boxes, hollows.boxes(poses), is_there, hollows.is_container).sum()
 
 
 def draw_contents(

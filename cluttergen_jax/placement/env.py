@@ -16,7 +16,7 @@ from cluttergen_jax.placement.observation import Observation, ObservationConfig,
 from cluttergen_jax.placement.region import KeepOut
 from cluttergen_jax.placement.rules import Proposer, Rules
 from cluttergen_jax.placement.scenes import SceneBatch, scene_of
-from cluttergen_jax.placement.types import Episode, Start
+from cluttergen_jax.placement.types import Episode, Start, choose
 from cluttergen_jax.types import Array
 
 
@@ -120,7 +120,7 @@ class PlacementEnv(Env):
         ends = after.is_over & ~before.episode.is_over
         ongoing = before.replace(
             episode=after,
-            finished=_where(ends, scene_of(after), before.finished),
+            finished=choose(ends, scene_of(after), before.finished),
             num_finished=before.num_finished + ends.astype(jnp.int32),
         )
         if self.auto_reset:
@@ -132,9 +132,8 @@ class PlacementEnv(Env):
         """With the next episode in place of one that has ended."""
         key_episode, key_next = jax.random.split(ongoing.key)
         fresh = self.rules.begin(key_episode, keep_out=ongoing.keep_out, start=ongoing.start)
-        return ongoing.replace(
-            episode=_where(ends, fresh, ongoing.episode), key=jnp.where(ends, key_next, ongoing.key)
-        )
+        episode = choose(ends, fresh, ongoing.episode)
+        return ongoing.replace(episode=episode, key=jnp.where(ends, key_next, ongoing.key))
 
     def _state(self, ongoing: Ongoing, reward: Array, is_over: Array) -> State:
         """The state with what is this environment's own."""
@@ -184,7 +183,3 @@ class PlacementEnv(Env):
 def _finite(array: Array) -> Array:
     """Numbers as they are, and 0 for what is none."""
     return jnp.where(jnp.isfinite(array), array, jnp.zeros_like(array))
-
-
-def _where(condition: Array, yes: Any, no: Any) -> Any:
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)

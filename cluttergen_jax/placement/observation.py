@@ -58,9 +58,11 @@ def observe(rules: Rules, episode: Episode, config: ObservationConfig) -> Observ
     """
     region = episode.region
     focus = rules.focus(episode)
-    local = jax.vmap(lambda pose: to_pose(region.T_world_region.inverse() @ from_pose(pose)))(
-        episode.poses
-    )
+
+    def in_region(pose: Array) -> Array:
+        return to_pose(region.T_world_region.inverse() @ from_pose(pose))
+
+    local = jax.vmap(in_region)(episode.poses)
     local = jnp.where(episode.is_placed[:, None], local, 0.0)
     observation: Observation = {
         "region": jnp.append(region.half_extents, rules.height_range(episode)),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import cast
 
 import numpy as np
@@ -18,7 +19,7 @@ from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import BatchEngine
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.placement.types import Orientations
-from cluttergen_jax.placement.world import own_margin_of, surface_runs
+from cluttergen_jax.placement.world import own_margin_of, pad_rows, surface_runs
 from cluttergen_jax.types import Verdict
 
 MAX_RESTING = 8
@@ -165,40 +166,41 @@ def _spread() -> np.ndarray:
 class _Body:
     """An object in one orientation; `Orientations` says what its arrays are."""
 
-    pose: _Pose
+    weight: float
+    quaternion: np.ndarray
     half_extents: np.ndarray
     height: float
     center_of_mass: np.ndarray
     own_margin: float
-    columns: HeightProfile
+    column_xy: np.ndarray
+    column_bottom: np.ndarray
     surface: np.ndarray
 
     @staticmethod
     def of(asset: ObjectAsset, pose: _Pose, cut: Callable[[ObjectAsset], HeightProfile]) -> _Body:
         matrix = pose.matrix
-        vertices = np.concatenate([part.vertices for part in asset.parts]) @ matrix.T
+        vertices = asset.vertices @ matrix.T
         middle = (vertices.min(0) + vertices.max(0)) / 2
+        center_of_mass = matrix @ asset.center_of_mass
         # Columns are cut of what is centred on its origin.
-        turned = replace(
-            asset,
-            parts=tuple(part.transform(matrix, -middle) for part in asset.parts),
-            center_of_mass=matrix @ asset.center_of_mass - middle,
-        )
+        parts = tuple(part.transform(matrix, -middle) for part in asset.parts)
+        turned = replace(asset, parts=parts, center_of_mass=center_of_mass - middle)
         columns = cut(turned)
         return _Body(
-            pose=pose,
+            weight=pose.weight,
+            quaternion=pose.quaternion,
             half_extents=turned.half_extents,
             height=-float(vertices[:, 2].min()),
-            center_of_mass=matrix @ asset.center_of_mass,
+            center_of_mass=center_of_mass,
             own_margin=own_margin_of(turned),
-            columns=replace(
-                columns,
-                xy=columns.xy + middle[:2],
-                bottom=columns.bottom + middle[2],
-                top=columns.top + middle[2],
-            ),
+            column_xy=columns.xy[columns.sample] + middle[:2],
+            column_bottom=columns.bottom[columns.sample] + middle[2],
             surface=surface_runs((columns.surface + middle) @ matrix),
         )
+
+
+_PLAIN = ("quaternion", "half_extents", "height", "center_of_mass", "own_margin")
+"""What is of one size for all objects."""
 
 
 def _stacked(bodies: list[list[_Body]], number: int) -> Orientations:
@@ -208,37 +210,24 @@ def _stacked(bodies: list[list[_Body]], number: int) -> Orientations:
     def stack(of_body: Callable[[_Body], np.ndarray | float]) -> np.ndarray:
         return np.array([[of_body(body) for body in each] for each in full])
 
-    def pad(array: np.ndarray, length: int) -> np.ndarray:
-        return np.pad(array, [(0, length - len(array))] + [(0, 0)] * (array.ndim - 1))
-
-    most = max(len(body.columns.sample) for each in bodies for body in each)
+    num_columns = stack(lambda body: len(body.column_bottom))
+    most = int(num_columns.max())
     runs = [max(len(body.surface) for body in each) for each in bodies]
+    surfaces = []
+    for each, rows in zip(full, runs, strict=True):
+        # A shorter surface shows its last run again.
+        longer = [body.surface[np.minimum(np.arange(rows), len(body.surface) - 1)] for body in each]
+        surfaces.append(np.stack(longer, axis=1))
     is_one = np.arange(number) < np.array([len(each) for each in bodies])[:, None]
     with np.errstate(divide="ignore"):
-        log_weight = np.log(np.where(is_one, stack(lambda body: body.pose.weight), 0.0))
+        log_weight = np.log(np.where(is_one, stack(lambda body: body.weight), 0.0))
     return Orientations(
         is_one=is_one,
         log_weight=log_weight,
-        quaternion=stack(lambda body: body.pose.quaternion),
-        half_extents=stack(lambda body: body.half_extents),
-        height=stack(lambda body: body.height),
-        center_of_mass=stack(lambda body: body.center_of_mass),
-        own_margin=stack(lambda body: body.own_margin),
-        column_xy=stack(lambda body: pad(body.columns.xy[body.columns.sample], most)),
-        column_bottom=stack(lambda body: pad(body.columns.bottom[body.columns.sample], most)),
-        is_column=stack(lambda body: pad(np.ones(len(body.columns.sample), bool), most)),
-        # A shorter surface shows its last run again.
-        surface=np.concatenate(
-            [
-                np.stack(
-                    [
-                        body.surface[np.minimum(np.arange(rows), len(body.surface) - 1)]
-                        for body in each
-                    ],
-                    axis=1,
-                )
-                for each, rows in zip(full, runs, strict=True)
-            ]
-        ),
+        column_xy=stack(lambda body: pad_rows(body.column_xy, most)),
+        column_bottom=stack(lambda body: pad_rows(body.column_bottom, most)),
+        is_column=np.arange(most) < num_columns[..., None],
+        surface=np.concatenate(surfaces),
         surface_owner=np.repeat(np.arange(len(full), dtype=np.int32), runs),
+        **{name: stack(attrgetter(name)) for name in _PLAIN},
     )

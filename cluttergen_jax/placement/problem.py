@@ -1,4 +1,7 @@
-"""The composition root: from names and numbers to a compiled world, its physics and its rules."""
+"""The composition root: from names and numbers to a compiled world, its physics and its rules.
+
+Where objects are to be inside of others, it finds which are hollow and what fits into them.
+"""
 
 from __future__ import annotations
 
@@ -6,30 +9,40 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from cluttergen_jax.assets.height_profile import HeightProfile
+from cluttergen_jax.assets.hollow import hollow_of
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import Pool, find_pool
-from cluttergen_jax.assets.support import Rectangle, Ring, SupportAsset, cuboid_table, ring_area
+from cluttergen_jax.assets.support import Rectangle, Ring, SupportAsset, cuboid_table
 from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.assets.support_map import check_keep_out, check_region, rim_height
+from cluttergen_jax.assets.support_map import VOID, check_keep_out, check_region
 from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
-from cluttergen_jax.errors import ConfigError, range_text
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import NumberedEngines, Physics
-from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
-from cluttergen_jax.placement.hollows import check_contained, find_hollows, with_upright_containers
-from cluttergen_jax.placement.orientations import make_orientations
+from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.containers import BELOW_RIM, INNER, draw_contents
+from cluttergen_jax.placement.heightmap import HeightMap, make_support_map
+from cluttergen_jax.placement.methods.baselines import costs_of_staying
+from cluttergen_jax.placement.orientations import MAX_RESTING, make_orientations
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
 from cluttergen_jax.placement.related import IN, relate_objects
-from cluttergen_jax.placement.room import check_room
+from cluttergen_jax.placement.room import check_crowding, check_number, check_room, check_surface
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.support_map import make_support_map
-from cluttergen_jax.placement.surface_set import SurfaceSet, check_surface
-from cluttergen_jax.placement.types import Start
+from cluttergen_jax.placement.search import (
+    Candidates,
+    CandidateScores,
+    UnderSide,
+    lower_onto,
+    support_share,
+    under_side,
+)
+from cluttergen_jax.placement.surface_set import SurfaceSet
+from cluttergen_jax.placement.types import Geometry, Hollows, Orientations, Start, take
 from cluttergen_jax.placement.world import (
     NUM_COLUMN_SAMPLES,
     World,
@@ -41,13 +54,19 @@ from cluttergen_jax.placement.world import (
     pad_geometry,
     repeat_objects,
 )
+from cluttergen_jax.types import Array
 
 SMALLEST_REGION = 0.02
-MOST_CROWDED = 8.0
-"""Footprints over the region's area from which a request is refused. Objects overhang and stand on others:
-`drop` fills 2 of 16 tables with ten of dining at 1.7, none at 4.2; only a stack of plates gets farther."""
-MOST_FULL = 1.0
-"""Volume of the smallest objects' hulls over that of what holds them, from which a pile is refused."""
+
+_CELL = 0.0072
+# Along each side of a hollow, and of half a turn, at which it is looked whether an object fits.
+_PLACES = 7
+_TURNS = 4
+
+_TRIED = 16
+"""Draws of objects that fit into others, to know how many there can be."""
+_LEAST_TRUST = 0.6
+"""In what is lowered into a hollow, as `spread` has it, of the best place that was tried."""
 
 
 @dataclass(frozen=True)
@@ -152,67 +171,6 @@ class WorldSizes:
     cut: Callable[[ObjectAsset], HeightProfile]
 
 
-def area_of(support: SupportAsset) -> float:
-    """Square metres: the regions of several surfaces together; 0 where objects are asked for on one."""
-    if not support.named or len(support.asked) < 2:
-        return 0.0
-    return sum(4 * math.prod(surface.region.half_extents) for surface, _ in support.asked)
-
-
-def area_asked(config: ProblemConfig, support: SupportAsset) -> float:
-    """Square metres: of a polygon, or of several surfaces together; 0 where a rectangle is asked for."""
-    return abs(ring_area(config.polygon)) if config.polygon else area_of(support)
-
-
-def check_crowding(
-    objects: Sequence[ObjectAsset], config: ProblemConfig, support: SupportAsset
-) -> None:
-    """Refuses more objects than can be hoped to find room in the region (ConfigError)."""
-    region = config.region or support.region
-    num_objects = config.placement.num_objects
-    if config.is_piled and (depth := rim_height(region, support)) > 0:
-        _check_volume(objects, num_objects, region, depth)
-    elif (
-        crowded := crowding(objects, num_objects, region, area_asked(config, support))
-    ) > MOST_CROWDED:
-        x, y = region.half_extents
-        area = area_asked(config, support)
-        numbers = range(num_objects - 1, 0, -1)
-        most = next((n for n in numbers if crowding(objects, n, region, area) <= MOST_CROWDED), 0)
-        raise ConfigError(
-            f"{num_objects} objects in a region of {2 * x:.2f} x {2 * y:.2f} m: even the "
-            f"smallest ones' footprints cover {crowded:.1f} times its area",
-            f"{MOST_CROWDED:g} times at most; beyond about once, scenes begin to fail",
-            f"num_objects={most}, or a larger region"
-            if most
-            else "smaller objects or a larger region",
-        )
-
-
-def _check_volume(
-    objects: Sequence[ObjectAsset], num_objects: int, region: Rectangle, depth: float
-) -> None:
-    """Refuses a pile whose smallest objects' hulls alone are larger than what holds them."""
-    hulls = [
-        ConvexHull(np.concatenate([part.vertices for part in asset.parts])).volume
-        for asset in objects
-    ]
-    sizes = np.sort(
-        np.tile(hulls, -(-num_objects // len(hulls))).reshape(-1, len(hulls)), axis=1
-    ).ravel()
-    room = 4 * float(np.prod(region.half_extents)) * depth * MOST_FULL
-    filled = np.cumsum(sizes[:num_objects])
-    if filled[-1] > room:
-        most = int((filled <= room).sum())
-        fewer = f"num_objects={most}" if most else "smaller objects"
-        raise ConfigError(
-            f"a pile of {num_objects} objects, of which even the smallest fill "
-            f"{1000 * filled[-1]:.1f} litres, in {1000 * room / MOST_FULL:.1f} litres",
-            f"up to {most} of these objects" if most else "a larger support, or smaller objects",
-            f"{fewer}, or a larger support, such as tote or bin-0.60x0.40x0.25",
-        )
-
-
 def compose(
     objects: Sequence[ObjectAsset],
     support: SupportAsset,
@@ -243,93 +201,75 @@ def compose(
         )
     cut = columns_of if sizes is None else sizes.cut
     world = make_world([*objects, *standing], support, config.stability, config.contact, cut)
-    physics: Physics | NumberedEngines
-    orientations = None
-    if (kind := config.placement.poses) != "upright":
-        layout = world.layout
-        if support.named:
-            # Resting poses are those on a level table with room above it.
-            table = cuboid_table()
-            layout = compile_layout(
-                world.names, world.objects, table, config.stability, config.contact
-            )
-        orientations = make_orientations(world.objects, layout, config.stability, kind, cut)
+    orientations = _orientations_of(world, config, cut)
     geometry = geometry_of(world, orientations)
-    asked = clutter.contained if clutter is not None else None
+    asked = None if clutter is None else clutter.contained
     if asked is not None or (related is not None and bool(jnp.any(related.kind == IN))):
         geometry = geometry.replace(hollows=find_hollows(world.objects, geometry))
     if asked:
         if sizes is None:
             check_contained(asked, wanted, world.names, geometry)
         geometry = with_upright_containers(geometry)
+    physics: Physics | NumberedEngines
     if sizes is None:
-        physics = make_physics(
-            world.layout, config.stability, config.engine, num_threads=config.num_threads
-        )
+        physics = make_physics(world.layout, config.stability, config.engine, config.num_threads)
     else:
         physics = sizes.physics
         runs = geometry.surface if orientations is None else orientations.surface
         geometry = pad_geometry(geometry, NUM_COLUMN_SAMPLES, _round_up(len(runs)))
-    surfaces = None
-    usual = _largest_region(region, config.change, support)
-    if support.named and len(support.asked) > 1:
-        rectangles = [support.on_surface(each.name) for each, _ in support.asked]
-        surfaces = SurfaceSet.of(
-            support,
-            world.objects,
-            [region_of(each.region, each) for each in rectangles],
-            config.placement.poses == "upright",
-        )
-        half = np.max([each.region.half_extents for each in rectangles], axis=0).tolist()
-        usual = replace(region, half_extents=(half[0], half[1]))
     rules = Rules(
         config=config.placement,
         physics=physics,
         geometry=geometry,
-        region=region_of(usual, support),
+        region=region_of(_largest_region(region, config.change, support), support),
         num_started=len(standing),
         map_radius=None if sizes is None else sizes.radius,
-        draw_region=None
-        if config.change == "none"
-        else ChangedRegion(find_change(config.change), region, support.region, *plane_of(support)),
-        support_map=None if config.placement.overhang == "any" else make_support_map(geometry),
-        surfaces=surfaces,
         related=related,
-        polygon=on_device(np.array(config.polygon)) if config.polygon else None,
     )
+    if support.named and len(support.asked) > 1:
+        rules = _on_surfaces(rules, region, support, world)
+    if config.change != "none":
+        change = find_change(config.change)
+        drawn = ChangedRegion(change, region, support.region, *plane_of(support))
+        rules = rules.replace(draw_region=drawn)
+    if config.placement.overhang != "any":
+        rules = rules.replace(support_map=make_support_map(geometry))
+    if config.polygon:
+        rules = rules.replace(polygon=on_device(np.array(config.polygon)))
     return Problem(config, world, rules, region)
+
+
+def _orientations_of(
+    world: World, config: ProblemConfig, cut: Callable[[ObjectAsset], HeightProfile]
+) -> Orientations | None:
+    """In which a world's objects are released; None where all are upright."""
+    kind = config.placement.poses
+    if kind == "upright":
+        return None
+    layout = world.layout
+    if world.support.named:
+        # Resting poses are those on a level table with room above it.
+        table = cuboid_table()
+        layout = compile_layout(world.names, world.objects, table, config.stability, config.contact)
+    return make_orientations(world.objects, layout, config.stability, kind, cut)
+
+
+def _on_surfaces(rules: Rules, region: Rectangle, support: SupportAsset, world: World) -> Rules:
+    """The rules for several surfaces of a support, with a region as large as the largest of theirs."""
+    each_alone = [support.on_surface(each.name) for each, _ in support.asked]
+    regions = [region_of(each.region, each) for each in each_alone]
+    is_upright = rules.config.poses == "upright"
+    half = np.max([each.region.half_extents for each in each_alone], axis=0).tolist()
+    return rules.replace(
+        region=region_of(replace(region, half_extents=tuple(half)), support),
+        surfaces=SurfaceSet.of(support, world.objects, regions, is_upright),
+    )
 
 
 def _round_up(number: int) -> int:
     """The next power of two, or one and a half times one: few sizes for many numbers."""
     power = 1 << (number - 1).bit_length()
     return power * 3 // 4 if number <= power * 3 // 4 else power
-
-
-def check_number(wanted: int, available: int, pool: str, repeat: bool = False) -> None:
-    """Refuses more objects than there are (ConfigError)."""
-    if wanted > available and not repeat:
-        raise ConfigError(
-            f"{wanted} objects asked for, {available} chosen of pool {pool!r}",
-            f"{range_text(1, available)}, or more (up to {MAX_SLOTS}) where objects may come more than once",
-            f"num_objects={available}, or repeat=True (of generate and evaluate)",
-        )
-
-
-def crowding(
-    objects: Sequence[ObjectAsset], num_objects: int, region: Rectangle, area: float = 0.0
-) -> float:
-    """The area that the smallest `num_objects` objects cover at least, seen from above, over the region's.
-
-    `area` is taken in place of that, where it is more than 0.
-    """
-    plans = [np.concatenate([part.vertices for part in asset.parts])[:, :2] for asset in objects]
-    areas = sorted(float(ConvexHull(points).volume) for points in plans)
-    # Of objects that may stand there more than once, all are there before any comes again.
-    rounds, rest = divmod(num_objects, len(areas))
-    return (rounds * sum(areas) + sum(areas[:rest])) / (
-        area or 4 * float(np.prod(region.half_extents))
-    )
 
 
 def _largest_region(base: Rectangle, change: str, support: SupportAsset) -> Rectangle:
@@ -342,10 +282,10 @@ def _largest_region(base: Rectangle, change: str, support: SupportAsset) -> Rect
 def region_of(rectangle: Rectangle, support: SupportAsset) -> Region:
     """A rectangle on a support's top as the decision process sees it."""
     top, surface = plane_of(support)
-    given = (rectangle.center, rectangle.half_extents, rectangle.yaw, top)
-    return make_region(
-        *on_device(tuple(map(np.array, given if surface is None else (*given, surface))))
-    )
+    given = [rectangle.center, rectangle.half_extents, rectangle.yaw, top]
+    if surface is not None:
+        given.append(surface)
+    return make_region(*on_device([np.array(each) for each in given]))
 
 
 def plane_of(support: SupportAsset) -> tuple[float, tuple[float, ...] | None]:
@@ -357,13 +297,12 @@ def plane_of(support: SupportAsset) -> tuple[float, tuple[float, ...] | None]:
 
 def keep_out_of(boxes: Sequence[Rectangle]) -> KeepOut:
     """Rectangles that objects must stay out of, as the decision process sees them."""
-    return on_device(
-        KeepOut(
-            center=np.array([box.center for box in boxes]).reshape(-1, 2),
-            half_extents=np.array([box.half_extents for box in boxes]).reshape(-1, 2),
-            yaw=np.array([box.yaw for box in boxes]),
-        )
+    found = KeepOut(
+        center=np.array([box.center for box in boxes]).reshape(-1, 2),
+        half_extents=np.array([box.half_extents for box in boxes]).reshape(-1, 2),
+        yaw=np.array([box.yaw for box in boxes]),
     )
+    return on_device(found)
 
 
 Standing = tuple[Sequence[ObjectAsset], np.ndarray]
@@ -414,3 +353,127 @@ def start_of(world: World, poses: np.ndarray) -> Start:
     everyone = np.tile(np.eye(7)[3], (world.num_objects, 1))
     everyone[is_placed] = poses
     return on_device(Start(everyone, is_placed))
+
+
+def find_hollows(objects: Sequence[ObjectAsset], geometry: Geometry) -> Hollows:
+    """The hollows of a world's K objects, and what fits into them; outside `jit`."""
+    center, half = np.swapaxes([_hollow_box(asset) for asset in objects], 0, 1)
+    is_container = np.array([hollow_of(asset) is not None for asset in objects])
+    fits = np.zeros((len(objects), len(objects)), bool)
+    reach = max(float(np.linalg.norm(asset.half_extents[:2])) for asset in objects) + 3 * _CELL
+    steps = (np.arange(_PLACES) + 0.5) / _PLACES * 2 - 1
+    turns = np.pi * np.arange(_TURNS) / _TURNS
+    grid = np.stack(np.meshgrid(steps, steps, turns), -1).reshape(-1, 3)
+    under, sizes, owner = _bodies_of(geometry)
+    for index in np.flatnonzero(is_container).tolist():
+        xy = grid[:, :2] * half[index, :2] + center[index, :2]
+        at = Candidates(jnp.array(xy), jnp.array(grid[:, 2]))
+        rim = center[index, 2] + half[index, 2] + objects[index].half_extents[2]
+        opening = jnp.array([*np.sort(half[index, :2]), rim])
+        heights = _map_of(geometry, index, reach)
+        found = np.asarray(_fit_into(heights, at, (under, sizes), opening))
+        np.logical_or.at(fits[:, index], owner, found)
+        fits[index, index] = False
+    # A bowl in a pot takes the place of many things; it has to where nothing else fits.
+    is_leaf = np.logical_not(fits.any(0))
+    if fits[is_leaf].any():
+        fits[~is_leaf] = False
+    hollows = Hollows(center.astype(np.float32), half.astype(np.float32), is_container, fits)
+    return jax.tree.map(jnp.asarray, hollows)
+
+
+def check_contained(
+    asked: float, num_objects: int, names: Sequence[str], geometry: Geometry
+) -> None:
+    """Refuses more objects inside of others than fit into any (ConfigError)."""
+    hollows = geometry.hollows
+    number = math.ceil(asked)
+    assert hollows is not None
+    nothing = jnp.zeros(geometry.num_objects, bool)
+    keys = jax.random.split(jax.random.key(0), _TRIED)
+
+    def num_drawn(key: Array) -> Array:
+        is_content, _ = draw_contents(key, geometry, nothing, number, num_objects)
+        return is_content.sum()
+
+    most = int(jax.vmap(num_drawn)(keys).max())
+    if most >= number:
+        return
+    allowed = "objects of which some fit into others"
+    if most:
+        named = [names[index] for index in np.flatnonzero(hollows.fits.any(0)).tolist()]
+        allowed = f"up to {most}, in {', '.join(named)}"
+    raise ConfigError(
+        f"clutter contained={asked:g} with {num_objects} objects of which up to {most} fit into others",
+        allowed,
+        "more bowls, pots or pans and smaller objects, as of dining+kitchen",
+    )
+
+
+def with_upright_containers(geometry: Geometry) -> Geometry:
+    """The same objects, where those into which others fit are always released upright."""
+    found = geometry.orientations
+    hollows = geometry.hollows
+    if found is None or hollows is None:
+        return geometry
+    upright = jnp.where(jnp.arange(found.log_weight.shape[1]) == 0, 0.0, -jnp.inf)
+    holds = jnp.any(hollows.fits, axis=0)[:, None]
+    log_weight = jnp.where(holds, upright, found.log_weight)
+    return geometry.replace(orientations=found.replace(log_weight=log_weight))
+
+
+def _hollow_box(asset: ObjectAsset) -> tuple[np.ndarray, np.ndarray]:
+    """Centre and half extents, object frame, metres; of what is not hollow, of the inner part of its box."""
+    hollow = hollow_of(asset)
+    if hollow is None:
+        return np.zeros(3), asset.half_extents * [INNER, INNER, 1.0]
+    low = hollow.points.min(0) - hollow.pitch / 2
+    high = hollow.points.max(0) + hollow.pitch / 2
+    return (low + high) / 2, (high - low) / 2
+
+
+def _map_of(geometry: Geometry, index: int, reach: float) -> HeightMap:
+    """The heights of one object above the floor on which it stands, in its own frame."""
+    is_own = np.asarray(geometry.surface_owner) == index
+    surface = np.asarray(geometry.surface)[is_own].reshape(-1, 3)
+    side = 2 * int(np.ceil(reach / _CELL))
+    height = np.full((side, side), VOID, np.float32)
+    cells = np.clip(np.floor(surface[:, :2] / _CELL).astype(int) + side // 2, 1, side - 2)
+    np.maximum.at(height, tuple(cells.T), surface[:, 2] + float(geometry.half_extents[index, 2]))
+    corner = jnp.full(2, -side // 2 * _CELL, jnp.float32)
+    return HeightMap(jnp.asarray(height), corner, (_CELL, _CELL))
+
+
+def _bodies_of(geometry: Geometry) -> tuple[UnderSide, Array, np.ndarray]:
+    """M under-sides, f32[M, 3] half extents and i[M], whose: of all objects, upright or in resting poses."""
+    found = geometry.orientations
+    if found is None:
+        return under_side(geometry), geometry.half_extents, np.arange(geometry.num_objects)
+    owner, which = np.nonzero(np.asarray(found.is_one)[:, :MAX_RESTING])
+    under, half = take((under_side(found), found.half_extents), (owner, which))
+    return under, half, owner
+
+
+@jax.jit
+def _fit_into(
+    heights: HeightMap, candidates: Candidates, bodies: tuple[UnderSide, Array], opening: Array
+) -> Array:
+    """bool[M]: which bodies come to lie in a container.
+
+    Args:
+      opening: f32[3], metres: half of its sides, the smaller one first, and the height of its rim.
+    """
+
+    def fits(body: tuple[UnderSide, Array]) -> Array:
+        under, half = body
+        fit = lower_onto(under, heights, candidates)
+        low = fit.rest + jnp.min(jnp.where(under.is_column, under.bottom, jnp.inf))
+        support = support_share(under, heights, candidates, fit.rest)
+        nothing = jnp.zeros_like(support)
+        scores = CandidateScores(fit, nothing + 1.0, support, nothing, jnp.int32(0))
+        trust = jnp.exp(-sum(costs_of_staying(scores)))
+        # What is wider stands across it.
+        is_narrow = jnp.all(jnp.sort(half[:2]) <= opening[:2])
+        return is_narrow & jnp.any((low < opening[2] - BELOW_RIM) & (trust > _LEAST_TRUST))
+
+    return jax.lax.map(fits, bodies)

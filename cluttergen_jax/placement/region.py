@@ -79,6 +79,11 @@ def from_pose(pose: Array) -> jaxlie.SE3:
     return jaxlie.SE3.from_rotation_and_translation(jaxlie.SO3(pose[..., 3:]), pose[..., :3])
 
 
+def safe_poses(poses: Array, is_there: Array) -> Array:
+    """f32[K, 7]: poses, the identity for objects that are not there, bool[K]: theirs may be anything."""
+    return jnp.where(is_there[:, None], poses, jnp.eye(7, dtype=jnp.float32)[3])
+
+
 def action_scale(region: Region, height_range: Array) -> tuple[Array, Array]:
     """The corner of action 0 and the size of the action box in the region frame, f32[3] each.
 
@@ -117,9 +122,8 @@ def action_of_pose(position: Array, yaw: Array, region: Region, height_range: Ar
 
 def box_corners(pose: Array, half_extents: Array) -> Array:
     """The eight world corners of an object's box: f32[8, 3] from f32[7] and f32[3]."""
-    signs = jnp.stack(jnp.meshgrid(*[jnp.array([-1.0, 1.0])] * 3, indexing="ij"), axis=-1).reshape(
-        8, 3
-    )
+    ends = [jnp.array([-1.0, 1.0])] * 3
+    signs = jnp.stack(jnp.meshgrid(*ends, indexing="ij"), axis=-1).reshape(8, 3)
     return jax.vmap(from_pose(pose).apply)(signs * half_extents)
 
 
@@ -154,11 +158,8 @@ def is_kept_out(pose: Array, half_extents: Array, keep_out: KeepOut) -> Array:
 
     def meets(center: Array, half: Array, yaw: Array) -> Array:
         side = jnp.array([jnp.cos(yaw), jnp.sin(yaw)])
-        box = center + (
-            jnp.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
-            * half
-            @ jnp.stack([side, _perpendicular(side)])
-        )
+        signs = jnp.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
+        box = center + (signs * half @ jnp.stack([side, _perpendicular(side)]))
         axes = jnp.stack([side, _perpendicular(side), heading, _perpendicular(heading)])
         ours = corners @ axes.T
         theirs = box @ axes.T
@@ -218,7 +219,15 @@ def find_change(name: str) -> RegionChange:
 
 @dataclass(frozen=True)
 class ChangedRegion:
-    """Draws a changed region for each episode; see `draw_region`."""
+    """Draws a region for each episode around `base`, wholly inside `bounds`; two that draw alike are equal.
+
+    What is too large for the bounds once turned is shrunk, one side or both, so that the most area is left,
+    then moved inwards by as little as it takes: a region stays on its table.
+
+    Attributes:
+      base: the region to change; bounds: the part of the top that may be used; both world, metres.
+      top, surface: see `make_region`.
+    """
 
     change: RegionChange
     base: Rectangle
@@ -227,52 +236,31 @@ class ChangedRegion:
     surface: tuple[float, ...] | None = None
 
     def __call__(self, key: Array) -> Region:
-        """See `placement.rules.RegionDraw`."""
-        return draw_region(key, self.change, self.base, self.bounds, self.top, self.surface)
-
-
-def draw_region(
-    key: Array,
-    change: RegionChange,
-    base: Rectangle,
-    bounds: Rectangle,
-    top: float,
-    surface: tuple[float, ...] | None = None,
-) -> Region:
-    """A region drawn around `base`, wholly inside `bounds`.
-
-    What is too large for the bounds once turned is shrunk, one side or both, so that the most area is left,
-    then moved inwards by as little as it takes: a region stays on its table.
-
-    Args:
-      key: consumed.
-      base: the region to change; bounds: the part of the top that may be used; both world, metres.
-      top, surface: see `make_region`.
-    """
-    key_shift, key_turn, key_size = jax.random.split(key, 3)
-    shift = jax.random.uniform(key_shift, (2,), minval=-1.0) * change.translation
-    turn = jax.random.uniform(key_turn, (), minval=-1.0) * change.rotation
-    growth = jax.random.uniform(key_size, (2,), minval=-change.shrinkage, maxval=change.expansion)
-    half = jnp.maximum(
-        jnp.array(base.half_extents) + growth, jnp.minimum(SMALLEST_HALF, min(base.half_extents))
-    )
-    yaw = base.yaw + turn
-    cos = jnp.abs(jnp.cos(yaw - bounds.yaw))
-    sin = jnp.abs(jnp.sin(yaw - bounds.yaw))
-    room = jnp.array(bounds.half_extents)
-    half = _fit_half_extents(half, cos, sin, room)
-    reach = jnp.stack([cos * half[0] + sin * half[1], sin * half[0] + cos * half[1]])
-    to_world = jnp.array(
-        [
-            [math.cos(bounds.yaw), -math.sin(bounds.yaw)],
-            [math.sin(bounds.yaw), math.cos(bounds.yaw)],
-        ]
-    )
-    offset = to_world.T @ (jnp.array(base.center) + shift - jnp.array(bounds.center))
-    slack = jnp.maximum(room - reach, 0.0)
-    center = jnp.array(bounds.center) + to_world @ jnp.clip(offset, -slack, slack)
-    pose = None if surface is None else jnp.array(surface, jnp.float32)
-    return make_region(center, half, yaw, jnp.float32(top), pose)
+        """A region drawn with `key`, consumed."""
+        change = self.change
+        base = self.base
+        bounds = self.bounds
+        key_shift, key_turn, key_size = jax.random.split(key, 3)
+        shift = jax.random.uniform(key_shift, (2,), minval=-1.0) * change.translation
+        turn = jax.random.uniform(key_turn, (), minval=-1.0) * change.rotation
+        growth = jax.random.uniform(
+            key_size, (2,), minval=-change.shrinkage, maxval=change.expansion
+        )
+        least = jnp.minimum(SMALLEST_HALF, min(base.half_extents))
+        half = jnp.maximum(jnp.array(base.half_extents) + growth, least)
+        yaw = base.yaw + turn
+        cos = jnp.abs(jnp.cos(yaw - bounds.yaw))
+        sin = jnp.abs(jnp.sin(yaw - bounds.yaw))
+        room = jnp.array(bounds.half_extents)
+        half = _fit_half_extents(half, cos, sin, room)
+        reach = jnp.stack([cos * half[0] + sin * half[1], sin * half[0] + cos * half[1]])
+        along = [math.cos(bounds.yaw), math.sin(bounds.yaw)]
+        to_world = jnp.array([[along[0], -along[1]], [along[1], along[0]]])
+        offset = to_world.T @ (jnp.array(base.center) + shift - jnp.array(bounds.center))
+        slack = jnp.maximum(room - reach, 0.0)
+        center = jnp.array(bounds.center) + to_world @ jnp.clip(offset, -slack, slack)
+        pose = None if self.surface is None else jnp.array(self.surface, jnp.float32)
+        return make_region(center, half, yaw, jnp.float32(self.top), pose)
 
 
 def _fit_half_extents(half: Array, cos: Array, sin: Array, room: Array) -> Array:

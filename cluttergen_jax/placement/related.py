@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.boxes import Boxes, gaps, is_over
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.containers import is_in
+from cluttergen_jax.placement.containers import is_in, openings_of
 from cluttergen_jax.placement.region import Region
 from cluttergen_jax.placement.relations import (
     KINDS,
@@ -26,6 +26,7 @@ from cluttergen_jax.placement.relations import (
     order_of,
     parse_relations,
 )
+from cluttergen_jax.placement.types import Episode, Geometry, choose
 from cluttergen_jax.placement.world import MAX_OBJECTS
 from cluttergen_jax.types import Array
 
@@ -34,6 +35,18 @@ MAX_ANGLE = np.radians(10.0).item()
 CONE = np.radians(45.0).item()
 """To either side of the direction in which a thing to the left, right, front or back of another is."""
 ON, IN, ALIGNED = (KINDS.index(kind) for kind in ("on", "in", "aligned"))
+
+
+_ROOM = 0.01
+"""Metres beside an object that have to be free for one that is to come there."""
+_SIDES = {
+    "left_of": (-1.0, 0.0),
+    "right_of": (1.0, 0.0),
+    "in_front_of": (0.0, -1.0),
+    "behind": (0.0, 1.0),
+}
+DIRECTIONS = [_SIDES.get(kind, (0.0, 0.0)) for kind in KINDS]
+"""By kind: the direction in which the subject is, region frame; none of kinds without a side."""
 
 
 class RelatedObjects(struct.PyTreeNode):
@@ -121,10 +134,14 @@ class RelatedObjects(struct.PyTreeNode):
         Args:
           objects: i32[Q], of each role.
         """
-        number = self.candidates.shape[1]
-        return (
-            jnp.full(number, self.num_roles, jnp.int32).at[objects].set(jnp.arange(self.num_roles))
-        )
+        last = jnp.full(self.candidates.shape[1], self.num_roles, jnp.int32)
+        return last.at[objects].set(jnp.arange(self.num_roles))
+
+    def ends(self, objects: Array) -> tuple[Array, Array, Array]:
+        """Of each relation: i32[R], its subject; i32[R], its reference; bool[R], that is the table."""
+        full = jnp.append(objects, 0)
+        is_table = self.reference == self.num_roles
+        return full[self.subject], full[self.reference], is_table
 
     def pairs(self, objects: Array, focus: Array) -> tuple[Array, Array, Array, Array]:
         """What the relations say of one object.
@@ -133,10 +150,7 @@ class RelatedObjects(struct.PyTreeNode):
           bool[R], it is the subject; bool[R], it is the reference; i32[R], the other object (any for the
           table); bool[R], the other is the table.
         """
-        full = jnp.append(objects, 0)
-        subject = full[self.subject]
-        reference = full[self.reference]
-        is_table = self.reference == self.num_roles
+        subject, reference, is_table = self.ends(objects)
         is_subject = subject == focus
         is_reference = (reference == focus) & ~is_table
         return is_subject, is_reference, jnp.where(is_subject, reference, subject), is_table
@@ -176,7 +190,11 @@ def hold(
     T_region_world = region.T_world_region.inverse()
     turn = T_region_world.rotation().as_matrix()
     offset = (subjects.center - references.center) @ turn.T
-    gap = jax.vmap(lambda one, two: gaps(_alone(one), _alone(two))[0, 0])(subjects, references)
+
+    def gap_of(one: Boxes, two: Boxes) -> Array:
+        return gaps(_alone(one), _alone(two))[0, 0]
+
+    gap = jax.vmap(gap_of)(subjects, references)
     x = offset[:, 0]
     y = offset[:, 1]
     is_near = gap <= related.gap
@@ -230,116 +248,76 @@ def _is_aligned(related: RelatedObjects, subjects: Boxes, references: Boxes, tur
 def holds_among(
     related: RelatedObjects,
     objects: Array,
-    boxes: Boxes,
-    openings: Boxes,
+    geometry: Geometry,
+    poses: Array,
     is_placed: Array,
     region: Region,
 ) -> Array:
     """bool: every relation holds of which both objects are placed, but for "on".
 
     Args:
-      objects: i32[Q], of each role; boxes, openings: K; is_placed: bool[K].
+      objects: i32[Q], of each role; poses: f32[K, 7], world; is_placed: bool[K].
     """
-    full = jnp.append(objects, 0)
-    subject = full[related.subject]
-    reference = full[related.reference]
-    is_there = is_placed[subject] & (
-        is_placed[reference] | (related.reference == related.num_roles)
-    )
-    take = _taker(boxes)
-    opening = _taker(openings)(reference)
-    return jnp.all(hold(related, take(subject), take(reference), opening, region) | ~is_there)
-
-
-def _taker(boxes: Boxes) -> Callable[[Array], Boxes]:
-    return lambda index: Boxes(boxes.center[index], boxes.sides[index])
+    subject, reference, is_table = related.ends(objects)
+    is_there = is_placed[subject] & (is_placed[reference] | is_table)
+    boxes = Boxes.of(geometry.half_extents, poses)
+    opening = openings_of(geometry, poses).take(reference)
+    holds = hold(related, boxes.take(subject), boxes.take(reference), opening, region)
+    return jnp.all(holds | ~is_there)
 
 
 def allowed_at(
-    related: RelatedObjects,
-    objects: Array,
-    focus: Array,
-    proposed: Boxes,
-    placed: Boxes,
-    openings: Boxes,
-    is_placed: Array,
-    region: Region,
+    related: RelatedObjects, episode: Episode, focus: Array, proposed: Boxes, geometry: Geometry
 ) -> Array:
     """bool[N]: at which candidates every relation of the current object with what is placed would hold.
 
     Of "on" only that the one's middle is over the other.
 
     Args:
-      objects: i32[Q]; focus: i32; proposed: N boxes of the current object; placed, openings:
-        K; is_placed: bool[K].
+      focus: i32, the current object; proposed: N boxes of it.
     """
-    is_subject, is_reference, other, is_table = related.pairs(objects, focus)
-    counts = (is_subject | is_reference) & (is_placed[other] | is_table)
+    assert episode.roles is not None
+    is_subject, is_reference, other, is_table = related.pairs(episode.roles, focus)
+    counts = (is_subject | is_reference) & (episode.is_placed[other] | is_table)
+    poses = episode.safe_poses
     # What is in a thing comes after it.
-    others = _taker(placed)(other)
-    opening = _taker(openings)(other)
+    others = Boxes.of(geometry.half_extents, poses).take(other)
+    opening = openings_of(geometry, poses).take(other)
 
-    def at(center: Array, sides: Array) -> Array:
-        own = Boxes(
-            jnp.broadcast_to(center, others.center.shape),
-            jnp.broadcast_to(sides, others.sides.shape),
-        )
-
-        def pick(one: Boxes, two: Boxes) -> Boxes:
-            return Boxes(
-                jnp.where(is_subject[:, None], one.center, two.center),
-                jnp.where(is_subject[:, None, None], one.sides, two.sides),
-            )
-
-        subjects = pick(own, others)
-        references = pick(others, own)
-        is_well = hold(related, subjects, references, opening, region)
+    def at(box: Boxes) -> Array:
+        own = box.repeat(len(other))
+        subjects = jax.vmap(choose)(is_subject, own, others)
+        references = jax.vmap(choose)(is_subject, others, own)
+        is_well = hold(related, subjects, references, opening, episode.region)
         is_well &= (related.kind != ON) | is_over(subjects.center, references, 1.0)
         return jnp.all(is_well | ~counts)
 
-    return jax.vmap(at)(proposed.center, proposed.sides)
+    return jax.vmap(at)(proposed)
 
 
 def leaves_room(
-    related: RelatedObjects,
-    objects: Array,
-    focus: Array,
-    xy: Array,
-    half_extents: Array,
-    region: Region,
+    related: RelatedObjects, episode: Episode, focus: Array, xy: Array, geometry: Geometry
 ) -> Array:
     """bool[N]: whether the region goes on where things would be that come beside the current object later.
 
     Args:
-      objects: i32[Q]; focus: i32; xy: f32[N, 2], candidates in the region frame; half_extents: f32[K, 3].
+      focus: i32, the current object; xy: f32[N, 2], candidates in the region frame.
     """
-    full = jnp.append(objects, 0)
-    subject = full[related.subject]
-    reference = full[related.reference]
-    direction = jnp.array(_DIRECTIONS)[related.kind]
-    asks = (
-        (reference == focus)
-        & (related.reference < related.num_roles)
-        & jnp.any(direction != 0, axis=1)
-    )
-    radius = half_extents[:, :2].mean(1)
+    assert episode.roles is not None
+    subject, reference, is_table = related.ends(episode.roles)
+    direction = jnp.array(DIRECTIONS)[related.kind]
+    asks = (reference == focus) & ~is_table & jnp.any(direction != 0, axis=1)
+    radius = geometry.half_extents[:, :2].mean(1)
     away = radius[focus] + radius[subject] + _ROOM
     there = xy[:, None] + away[:, None] * direction
-    return jnp.all(jnp.all(jnp.abs(there) <= region.half_extents, axis=-1) | ~asks, axis=1)
+    is_within = jnp.all(jnp.abs(there) <= episode.region.half_extents, axis=-1)
+    return jnp.all(is_within | ~asks, axis=1)
 
 
-_ROOM = 0.01
-_SIDES = {
-    "left_of": (-1.0, 0.0),
-    "right_of": (1.0, 0.0),
-    "in_front_of": (0.0, -1.0),
-    "behind": (0.0, 1.0),
-}
-_DIRECTIONS = [_SIDES.get(kind, (0.0, 0.0)) for kind in KINDS]
-
-
-def carriers_of(related: RelatedObjects, objects: Array, focus: Array, is_placed: Array) -> Array:
+def carriers_of(related: RelatedObjects, episode: Episode, focus: Array) -> Array:
     """bool[K]: the placed objects on which the current object is to lie."""
-    is_subject, _, other, _ = related.pairs(objects, focus)
+    assert episode.roles is not None
+    is_placed = episode.is_placed
+    is_subject, _, other, _ = related.pairs(episode.roles, focus)
     wanted = is_subject & (related.kind == ON) & is_placed[other]
     return jnp.zeros_like(is_placed).at[other].max(wanted)

@@ -274,9 +274,7 @@ def _columns_of(world: World, each: int, pose: np.ndarray) -> tuple[np.ndarray, 
         ends = np.c_[profile.xy, profile.bottom], np.c_[profile.xy, profile.top]
         return transform_points(pose, ends[0]), transform_points(pose, ends[1])
     # Columns are those of the resting pose. Of what lies otherwise its box has to do.
-    points = transform_points(
-        pose, np.concatenate([part.vertices for part in world.objects[each].parts])
-    )
+    points = transform_points(pose, world.objects[each].vertices)
     low = points.min(0)
     high = points.max(0)
     grid = np.stack(np.meshgrid(*np.linspace(low[:2], high[:2], 9).T), -1).reshape(-1, 2)

@@ -1,24 +1,126 @@
-"""Which objects find no room between the walls or sides of a region, however they are turned."""
+"""What is refused before a world is compiled: objects that find no place where they are asked for.
+
+More than there are or than a region holds, what is too large for its walls or too tall for what hangs over
+it, and what would tip or slide on a slope, however it is turned.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.support import Rectangle, SupportAsset
+from cluttergen_jax.assets.support import Rectangle, SupportAsset, ring_area
 from cluttergen_jax.assets.support_map import rim_height
-from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.config import ContactConfig
+from cluttergen_jax.errors import ConfigError, range_text
+from cluttergen_jax.physics.margin import support_margin
+from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
+
+if TYPE_CHECKING:
+    from cluttergen_jax.placement.problem import ProblemConfig
 
 _TURNS = 360
-"""Headings that are tried, half a degree apart."""
+"""Headings that are tried within walls, half a degree apart."""
 _SLACK = 0.002
 """Metres by which an object may be too large: contacts give way, and headings lie between those tried."""
 _MOST_NAMED = 8
+MOST_CROWDED = 8.0
+"""Footprints over the region's area from which a request is refused. Objects overhang and stand on others:
+`drop` fills 2 of 16 tables with ten of dining at 1.7, none at 4.2; only a stack of plates gets farther."""
+MOST_FULL = 1.0
+"""Volume of the smallest objects' hulls over that of what holds them, from which a pile is refused."""
+ROOM = 0.003
+"""Metres that have to be free above the tallest object under a board."""
+# Metres: of a base's points, and of a margin that holds.
+_TOUCHING = 1e-4
+_STANDS = 0.0005
+_HEADINGS = 16
+"""That are tried on a slope."""
+
+
+def check_number(wanted: int, available: int, pool: str, repeat: bool = False) -> None:
+    """Refuses more objects than there are (ConfigError)."""
+    if wanted > available and not repeat:
+        raise ConfigError(
+            f"{wanted} objects asked for, {available} chosen of pool {pool!r}",
+            f"{range_text(1, available)}, or more (up to {MAX_SLOTS}) where objects may come more than once",
+            f"num_objects={available}, or repeat=True (of generate and evaluate)",
+        )
+
+
+def crowding(
+    objects: Sequence[ObjectAsset], num_objects: int, region: Rectangle, area: float = 0.0
+) -> float:
+    """The area that the smallest `num_objects` objects cover at least, seen from above, over the region's.
+
+    `area` is taken in place of that, where it is more than 0.
+    """
+    areas = sorted(float(ConvexHull(asset.vertices[:, :2]).volume) for asset in objects)
+    # Of objects that may stand there more than once, all are there before any comes again.
+    rounds, rest = divmod(num_objects, len(areas))
+    covered = rounds * sum(areas) + sum(areas[:rest])
+    return covered / (area or 4 * float(np.prod(region.half_extents)))
+
+
+def area_of(support: SupportAsset) -> float:
+    """Square metres: the regions of several surfaces together; 0 where objects are asked for on one."""
+    if not support.named or len(support.asked) < 2:
+        return 0.0
+    return sum(4 * math.prod(surface.region.half_extents) for surface, _ in support.asked)
+
+
+def area_asked(config: ProblemConfig, support: SupportAsset) -> float:
+    """Square metres: of a polygon, or of several surfaces together; 0 where a rectangle is asked for."""
+    return abs(ring_area(config.polygon)) if config.polygon else area_of(support)
+
+
+def check_crowding(
+    objects: Sequence[ObjectAsset], config: ProblemConfig, support: SupportAsset
+) -> None:
+    """Refuses more objects than can be hoped to find room in the region (ConfigError)."""
+    region = config.region or support.region
+    num_objects = config.placement.num_objects
+    if config.is_piled and (depth := rim_height(region, support)) > 0:
+        _check_volume(objects, num_objects, region, depth)
+        return
+    area = area_asked(config, support)
+    crowded = crowding(objects, num_objects, region, area)
+    if crowded <= MOST_CROWDED:
+        return
+    x, y = region.half_extents
+    numbers = range(num_objects - 1, 0, -1)
+    most = next((n for n in numbers if crowding(objects, n, region, area) <= MOST_CROWDED), 0)
+    raise ConfigError(
+        f"{num_objects} objects in a region of {2 * x:.2f} x {2 * y:.2f} m: even the "
+        f"smallest ones' footprints cover {crowded:.1f} times its area",
+        f"{MOST_CROWDED:g} times at most; beyond about once, scenes begin to fail",
+        f"num_objects={most}, or a larger region" if most else "smaller objects or a larger region",
+    )
+
+
+def _check_volume(
+    objects: Sequence[ObjectAsset], num_objects: int, region: Rectangle, depth: float
+) -> None:
+    """Refuses a pile whose smallest objects' hulls alone are larger than what holds them."""
+    hulls = sorted(ConvexHull(asset.vertices).volume for asset in objects)
+    sizes = np.tile(hulls, -(-num_objects // len(hulls)))
+    room = 4 * float(np.prod(region.half_extents)) * depth * MOST_FULL
+    filled = np.cumsum(sizes[:num_objects])
+    if filled[-1] > room:
+        most = int((filled <= room).sum())
+        fewer = f"num_objects={most}" if most else "smaller objects"
+        raise ConfigError(
+            f"a pile of {num_objects} objects, of which even the smallest fill "
+            f"{1000 * filled[-1]:.1f} litres, in {1000 * room / MOST_FULL:.1f} litres",
+            f"up to {most} of these objects" if most else "a larger support, or smaller objects",
+            f"{fewer}, or a larger support, such as tote or bin-0.60x0.40x0.25",
+        )
 
 
 def check_room(
@@ -67,7 +169,7 @@ def _size_text(size: np.ndarray) -> str:
 
 
 def _fits(asset: ObjectAsset, room: np.ndarray, rim: float, is_upright: bool) -> bool:
-    vertices = np.concatenate([part.vertices for part in asset.parts])
+    vertices = asset.vertices
     if np.linalg.norm(np.ptp(vertices, axis=0)) <= room.min():
         return True
     angles = np.pi * np.arange(_TURNS) / _TURNS
@@ -94,3 +196,58 @@ def _orientations(asset: ObjectAsset, is_upright: bool) -> Iterator[tuple[np.nda
         yield Rotation.from_quat(np.roll(pose.quaternion, -1)).as_matrix(), True
     for axis in ((np.pi / 2, 0, 0), (0, np.pi / 2, 0)):
         yield Rotation.from_rotvec(axis).as_matrix(), False
+
+
+def check_surface(
+    objects: Sequence[ObjectAsset],
+    support: SupportAsset,
+    placement: PlacementConfig,
+    contact: ContactConfig,
+    has_region: bool,
+) -> None:
+    """Refuses objects that cannot stand on a slope, or under what hangs over a surface (ConfigError).
+
+    Released upright they tip or slide whichever way they are turned; in other poses they may stand.
+    """
+    if not support.named:
+        return
+    surfaces = [surface for surface, _ in support.asked]
+    if len(surfaces) > 1 and has_region:
+        hint = f"surface={surfaces[0].name!r}, or no region"
+        raise ConfigError("a region with several surfaces", "the surfaces' own regions", hint)
+    if placement.poses != "upright":
+        return
+    friction = contact.friction[0]
+    slope = min(surface.tilt for surface in surfaces)
+    fallen = [each.name for each in objects if not _stands_on_slope(each, slope, friction)]
+    if fallen:
+        raise ConfigError(
+            f"objects that tip, roll or slide on a slope of {math.degrees(slope):.1f} degrees, "
+            f"however they are turned: {', '.join(fallen)}",
+            "other objects",
+            "exclude=" + repr(tuple(fallen)),
+        )
+    free = max(surface.free_height for surface in surfaces)
+    tall = [each.name for each in objects if 2 * each.half_extents[2] + ROOM > free]
+    if tall:
+        raise ConfigError(
+            f"objects that are too tall for {', '.join(surface.name for surface in surfaces)} of support "
+            f"{support.name!r}, with {free:.3f} m of room: {', '.join(tall)}",
+            "lower ones",
+            "exclude=" + repr(tuple(tall)),
+        )
+
+
+def _stands_on_slope(asset: ObjectAsset, slope: float, friction: float) -> bool:
+    """Whether a plumb line through its centre of mass meets its base for some turn, and it does not slide."""
+    if slope == 0:
+        return True
+    vertices = asset.vertices
+    low = vertices[:, 2].min()
+    base = vertices[vertices[:, 2] < low + _TOUCHING][:, :2]
+    lean = (asset.center_of_mass[2] - low) * math.tan(slope)
+    angles = 2 * np.pi * np.arange(_HEADINGS) / _HEADINGS
+    centers = asset.center_of_mass[:2] + lean * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    margin = max(support_margin(base - center) for center in centers)
+    own = friction if asset.friction is None else asset.friction
+    return margin > _STANDS and math.tan(slope) < own

@@ -1,13 +1,13 @@
 """The rules of the problem, below any reinforcement-learning wrapper: begin an episode, make an attempt.
 
 Which objects come in which order, what is asked of a place where one has come to rest beyond standing still,
-which are taken away again from a scene that is stuck, and what an attempt pays.
+what carries what and which are taken away again from a scene that is stuck, and what an attempt pays.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 import jax
@@ -16,10 +16,12 @@ from flax import struct
 
 from cluttergen_jax.physics.host import NumberedEngines, Physics
 from cluttergen_jax.physics.standing import has_moved
-from cluttergen_jax.placement.boxes import Boxes, footprint_area
-from cluttergen_jax.placement.config import ORDER_POWER, PlacementConfig
-from cluttergen_jax.placement.containers import draw_contents, openings_of
+from cluttergen_jax.placement.boxes import footprint_area
+from cluttergen_jax.placement.config import MAX_MARGIN, ORDER_POWER, PlacementConfig
+from cluttergen_jax.placement.containers import draw_contents
+from cluttergen_jax.placement.heightmap import map_below, most_beyond, on_map, shares_beyond
 from cluttergen_jax.placement.region import (
+    ChangedRegion,
     KeepOut,
     Region,
     box_corners,
@@ -29,15 +31,9 @@ from cluttergen_jax.placement.region import (
     is_kept_out,
     no_keep_out,
     pose_of_action,
+    safe_poses,
 )
 from cluttergen_jax.placement.related import RelatedObjects, carriers_of, holds_among
-from cluttergen_jax.placement.support_graph import (
-    empty_graph,
-    graph_after_settling,
-    graph_without,
-    supported_by,
-)
-from cluttergen_jax.placement.support_map import map_below, most_beyond, on_map, shares_beyond
 from cluttergen_jax.placement.surface_set import SurfaceSet
 from cluttergen_jax.placement.types import (
     Body,
@@ -46,8 +42,10 @@ from cluttergen_jax.placement.types import (
     Geometry,
     History,
     Start,
+    SupportGraph,
     SupportMap,
     Transition,
+    choose,
 )
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
 
@@ -59,6 +57,59 @@ _SHARE = (0.5, 3.5)
 _CODE_LAST_BONUS = 1000.0
 
 
+def empty_graph(geometry: Geometry) -> SupportGraph:
+    """Nothing leans on anything; all are trusted as they stand on a flat table."""
+    number = geometry.num_objects
+    return SupportGraph(
+        leans_on=jnp.zeros((number, number), bool),
+        level=jnp.zeros(number, jnp.int32),
+        margin=jnp.asarray(geometry.own_margin, jnp.float32),
+    )
+
+
+def graph_after_settling(graph: SupportGraph, is_focus: Array, settling: Settling) -> SupportGraph:
+    """What carries what once the focus object, bool[K], has come to rest."""
+    highest = jnp.max(jnp.where(settling.bears, graph.level, -1), initial=-1)
+    # Those that an attempt did not move have an infinite margin: nothing about them is new. A neighbour that
+    # it moved may have come to lean on the new object.
+    is_moved = ~jnp.isposinf(settling.margin) & ~is_focus
+    leans_on = graph.leans_on | ((is_moved & settling.touches)[:, None] & is_focus)
+    return SupportGraph(
+        leans_on=jnp.where(is_focus[:, None], settling.touches, leans_on),
+        level=jnp.where(is_focus, highest + 1, graph.level).astype(jnp.int32),
+        margin=jnp.where(
+            is_moved | is_focus, jnp.maximum(settling.margin, -MAX_MARGIN), graph.margin
+        ),
+    )
+
+
+def graph_without(graph: SupportGraph, which: Array, geometry: Geometry) -> SupportGraph:
+    """What carries what once the objects `which`, bool[K], are gone."""
+    empty = empty_graph(geometry)
+    return SupportGraph(
+        leans_on=graph.leans_on & ~which[:, None] & ~which,
+        level=jnp.where(which, empty.level, graph.level),
+        margin=jnp.where(which, empty.margin, graph.margin),
+    )
+
+
+def supported_by(which: Array, leans_on: Array) -> Array:
+    """These objects and all that leans on them, directly or by way of others: bool[K].
+
+    Args:
+      which: bool[K]; leans_on: bool[K, K], row k: what object k leans on.
+    """
+
+    def widen(state: tuple[Array, Array]) -> tuple[Array, Array]:
+        now, _ = state
+        return now | jnp.any(leans_on & now, axis=1), now
+
+    def has_grown(state: tuple[Array, Array]) -> Array:
+        return jnp.any(state[0] != state[1])
+
+    return jax.lax.while_loop(has_grown, widen, (which, which & False))[0]
+
+
 class Proposer(Protocol):
     """Proposes poses for the current object; pure, one episode at a time: a baseline, a policy, a person."""
 
@@ -67,186 +118,14 @@ class Proposer(Protocol):
         ...
 
 
-class RegionDraw(Protocol):
-    """Draws an episode's region from a key; two that draw alike are equal (`placement.region`)."""
-
-    def __call__(self, key: Array) -> Region:
-        """A region drawn with `key`."""
-        ...
+def _instead_of_stable(verdict: Array, is_worse: Array, other: Verdict) -> Array:
+    """i32: another verdict where it is STABLE and something speaks against it."""
+    return jnp.where((verdict == Verdict.STABLE) & is_worse, int(other), verdict)
 
 
-@dataclass(frozen=True, eq=False)
-class SlotDraw:
-    """Draws the objects of an episode.
-
-    Attributes:
-      config: what is asked of it. geometry: K objects.
-      num_started: the most objects that may stand there already.
-      related: the relations that scenes must fulfil; None for none.
-    """
-
-    config: PlacementConfig
-    geometry: Geometry
-    num_started: int
-    related: RelatedObjects | None
-
-    @property
-    def num_slots(self) -> int:
-        """S: slots of those that stand there already, then of those to be placed."""
-        return self.num_started + self.config.num_objects
-
-    def draw(self, key: Array, is_taken: Array, roles: Array | None) -> Array:
-        """i32[S]: the objects that stand, then those to place, then -1 for slots without an object.
-
-        Those to place are a uniform subset of the objects not taken, whatever their order but "fixed"; those
-        of roles are among them and come first, each after those to which it is placed. Where objects are to
-        be inside of others, so many that fit are among them, and what they fit into comes first.
-        """
-        ranks = jnp.arange(self.geometry.num_objects, dtype=jnp.float32)
-        if self.config.order != "fixed":
-            ranks = jax.random.uniform(key, ranks.shape)
-        ranks = jnp.where(is_taken, jnp.inf, ranks)
-        if roles is not None:
-            ranks = ranks.at[roles].set(-1.0)
-        is_container = None
-        if self.num_contained and self.config.order != "fixed":
-            # No search finds room inside of others where nothing that is drawn fits into anything.
-            is_content, is_container = draw_contents(
-                jax.random.fold_in(key, 6),
-                self.geometry,
-                is_taken,
-                self.num_contained,
-                self.config.num_objects,
-            )
-            ranks = jnp.where((is_content | is_container) & ~is_taken, ranks - 1.0, ranks)
-        chosen = jnp.argsort(ranks)[: self.config.num_objects].astype(jnp.int32)
-        chosen = jnp.where(jnp.isfinite(ranks[chosen]), chosen, -1)
-        if self.config.order in ("largest", "weighted"):
-            chosen = chosen[jnp.argsort(-self._weight(key)[chosen])]
-        if is_container is not None:
-            chosen = chosen[jnp.argsort(~is_container[chosen], stable=True)]
-        if roles is not None and self.related is not None:
-            chosen = chosen[jnp.argsort(self.related.priority(roles)[chosen], stable=True)]
-        standing = jnp.nonzero(is_taken, size=self.num_started, fill_value=-1)[0].astype(jnp.int32)
-        slots = jnp.concatenate([standing, chosen])
-        slots = jnp.pad(slots, (0, self.num_slots - slots.shape[0]), constant_values=-1)
-        return slots[jnp.argsort(slots < 0, stable=True)]
-
-    @property
-    def num_contained(self) -> int:
-        """Objects that are drawn to be inside of others: one more than are asked for, for want of room."""
-        clutter = self.config.clutter
-        asked = math.ceil((clutter and clutter.contained) or 0)
-        return min(asked + 1, self.config.num_objects - 1) if asked else 0
-
-    def _weight(self, key: Array) -> Array:
-        """f32[K]: who comes first, highest first. With noise of Gumbel's it is a draw by Plackett-Luce."""
-        weight = jnp.log(footprint_area(self.geometry.half_extents))
-        if self.config.order == "largest":
-            return weight
-        noise = jax.random.gumbel(jax.random.fold_in(key, 1), weight.shape)
-        return ORDER_POWER * weight + noise
-
-
-@dataclass(frozen=True, eq=False)
-class Acceptance:
-    """Judges places by support margin, queried region, keep-out boxes, overhang, surface and relations.
-
-    Attributes:
-      config, geometry, related, surfaces, polygon, support_map: those of `Rules`.
-    """
-
-    config: PlacementConfig
-    geometry: Geometry
-    related: RelatedObjects | None
-    surfaces: SurfaceSet | None
-    polygon: Array | None
-    support_map: SupportMap | None
-
-    def verdict(self, episode: Episode, focus: Array, settling: Settling) -> Array:
-        """The attempt's verdict, i32: the simulator's, where nothing graver is found."""
-        verdict = settling.verdict
-        if self.config.min_margin:
-            is_poor = (verdict == Verdict.STABLE) & ~self.is_supported(episode, focus, settling)
-            verdict = jnp.where(is_poor, int(Verdict.UNSUPPORTED), verdict)
-        pose = settling.poses[focus]
-        half_extents = self.geometry.half_extents[focus]
-        inside = is_inside(pose, half_extents, episode.region, self.config.containment)
-        support_map = map_below(self.geometry, episode.surface, focus)
-        inside &= ~is_kept_out(on_map(support_map, pose), half_extents, episode.keep_out)
-        inside &= self.is_in_polygon(on_map(support_map, pose), half_extents)
-        if self.surfaces is not None:
-            inside &= self.surfaces.has_room(episode, focus)
-        if support_map is not None:
-            center = from_pose(pose).apply(self.geometry.center_of_mass[focus])
-            height = episode.region.T_world_region.inverse().apply(center)[2]
-            # Physics knows the lowest point of a surface alone.
-            is_graver = (verdict == Verdict.OVERFLOW) | (verdict == Verdict.NON_FINITE)
-            has_fallen = (height < 0) & ~is_graver & (verdict != Verdict.NONE)
-            verdict = jnp.where(has_fallen, int(Verdict.FELL), verdict)
-            if support_map.ceiling is not None:
-                xy = on_map(support_map, pose)[:2]
-                ceiling = support_map.ceiling.reshape(-1)[support_map.index_of(xy[0], xy[1])]
-                inside &= height < ceiling
-        if self.config.overhang != "any":
-            inside &= ~self._is_beyond(episode, focus, settling)
-        verdict = jnp.where((verdict == Verdict.STABLE) & ~inside, int(Verdict.OUTSIDE), verdict)
-        if self.config.most_stacked is not None:
-            is_stacked = jnp.any(settling.bears & episode.is_placed)
-            num_stacked = jnp.sum(episode.is_placed & (episode.support_graph.level > 0))
-            is_one_more = is_stacked & (num_stacked >= self.config.most_stacked)
-            verdict = jnp.where(
-                (verdict == Verdict.STABLE) & is_one_more, int(Verdict.UNRELATED), verdict
-            )
-        if self.related is None:
-            return verdict
-        is_related = self._is_related(self.related, episode, focus, settling)
-        return jnp.where((verdict == Verdict.STABLE) & ~is_related, int(Verdict.UNRELATED), verdict)
-
-    def _is_related(
-        self, related: RelatedObjects, episode: Episode, focus: Array, settling: Settling
-    ) -> Array:
-        """Whether all relations hold of which both objects are placed, the focus object included; bool."""
-        assert episode.roles is not None
-        is_placed = episode.is_placed.at[focus].set(True)
-        poses = jnp.where(is_placed[:, None], settling.poses, Start.empty(len(is_placed)).poses)
-        boxes = Boxes.of(self.geometry.half_extents, poses)
-        carriers = carriers_of(related, episode.roles, focus, episode.is_placed)
-        is_carried = jnp.all(settling.bears | ~carriers)
-        openings = openings_of(self.geometry, poses)
-        return is_carried & holds_among(
-            related, episode.roles, boxes, openings, is_placed, episode.region
-        )
-
-    def is_in_polygon(self, pose: Array, half_extents: Array) -> Array:
-        """bool: whether an object, its pose f32[7] in the polygon's frame, is in it as far as is asked."""
-        if self.polygon is None:
-            return jnp.bool_(True)
-        is_center = self.config.containment == "center"
-        points = pose[None, :2] if is_center else box_corners(pose, half_extents)[:, :2]
-        return jnp.all(is_in_polygon(points, self.polygon))
-
-    def _is_beyond(self, episode: Episode, focus: Array, settling: Settling) -> Array:
-        """Whether anything that this episode placed reaches too far beyond the support's edge; bool."""
-        assert self.support_map is not None
-        is_focus = jnp.arange(self.geometry.num_objects) == focus
-        is_judged = (episode.is_placed | is_focus) & ~episode.is_started
-        if episode.surface is None:
-            shares = shares_beyond(self.support_map, self.geometry, settling.poses)
-        else:
-            each = jax.vmap(lambda one: shares_beyond(one, self.geometry, settling.poses))(
-                self.support_map
-            )
-            shares = each[jnp.maximum(episode.surface, 0), jnp.arange(each.shape[1])]
-        return jnp.any(is_judged & (shares > most_beyond(self.config.overhang)))
-
-    def is_supported(self, episode: Episode, focus: Array, settling: Settling) -> Array:
-        """Whether all that this episode placed, the focus object included, has the margin asked for; bool."""
-        is_focus = jnp.arange(self.geometry.num_objects) == focus
-        is_judged = (episode.is_placed | is_focus) & ~episode.is_started
-        own = self.geometry.own_margins_at(settling.poses)
-        asked = jnp.minimum(self.config.min_margin, _OWN_SHARE * own)
-        return ~jnp.any(is_judged & (settling.margin < asked))
+def _key_of_attempt(key: Array, purpose: int, episode: Episode) -> Array:
+    """A key for a purpose, anew after every attempt: those who step an episode need not change its own."""
+    return jax.random.fold_in(jax.random.fold_in(key, purpose), episode.counts.attempts.sum())
 
 
 def choose_removal(episode: Episode, geometry: Geometry, is_started: Array) -> Array:
@@ -257,20 +136,17 @@ def choose_removal(episode: Episode, geometry: Geometry, is_started: Array) -> A
     Args:
       is_started: bool[K], those that stood there from the beginning and stay.
     """
-    # Those who step an episode by themselves need not change its key.
-    key = jax.random.fold_in(jax.random.fold_in(episode.key, 2), episode.counts.attempts.sum())
-    key_center, key_share = jax.random.split(key)
+    key_center, key_share = jax.random.split(_key_of_attempt(episode.key, 2, episode))
     is_mine = episode.is_placed & ~is_started
-    center = jnp.argmax(
-        jax.random.gumbel(key_center, is_mine.shape) + jnp.where(is_mine, 0.0, -jnp.inf)
-    )
+    noise = jax.random.gumbel(key_center, is_mine.shape)
+    center = jnp.argmax(noise + jnp.where(is_mine, 0.0, -jnp.inf))
     offset = episode.poses[:, :2] - episode.poses[center, :2]
     order = jnp.argsort(jnp.where(is_mine, jnp.sum(offset**2, axis=1), jnp.inf))
     area = footprint_area(geometry.half_extents)
-    focus = jnp.maximum(
-        episode.object_index[jnp.minimum(episode.slot, len(episode.object_index) - 1)], 0
-    )
-    wanted = area[focus] * jax.random.uniform(key_share, minval=_SHARE[0], maxval=_SHARE[1])
+    slot = jnp.minimum(episode.slot, len(episode.object_index) - 1)
+    focus = jnp.maximum(episode.object_index[slot], 0)
+    share = jax.random.uniform(key_share, minval=_SHARE[0], maxval=_SHARE[1])
+    wanted = area[focus] * share
     freed = jnp.cumsum(area[order])
     is_taken = freed - area[order] < wanted
     return jnp.zeros_like(is_mine).at[order].set(is_taken) & is_mine
@@ -287,7 +163,8 @@ def remove(
       which: bool[K]; of what stood there from the beginning nothing is taken.
     """
     is_mine = episode.is_placed & ~episode.is_started
-    which = supported_by(which & is_mine, episode.support_graph.leans_on & is_mine[:, None])
+    leans_on = episode.support_graph.leans_on & is_mine[:, None]
+    which = supported_by(which & is_mine, leans_on)
     slots = jnp.arange(len(episode.object_index))
     index = jnp.maximum(episode.object_index, 0)
     is_kept = (slots < episode.slot) & ~which[index]
@@ -365,7 +242,7 @@ class Rules(struct.PyTreeNode, eq=False):
     geometry: Geometry
     region: Region
     num_started: int = struct.field(pytree_node=False, default=0)
-    draw_region: RegionDraw | None = struct.field(pytree_node=False, default=None)
+    draw_region: ChangedRegion | None = struct.field(pytree_node=False, default=None)
     history_steps: int | None = struct.field(pytree_node=False, default=None)
     support_map: SupportMap | None = None
     engine: Array | None = None
@@ -398,7 +275,6 @@ class Rules(struct.PyTreeNode, eq=False):
           start: objects that already stand; they count as neighbours and are not drawn again.
         """
         key_order, key_episode = jax.random.split(key)
-        config = self.config
         start = Start.empty(self.geometry.num_objects) if start is None else start
         first_slot = start.is_placed.sum().astype(jnp.int32)
         if region is None and self.draw_region is not None:
@@ -409,15 +285,13 @@ class Rules(struct.PyTreeNode, eq=False):
             key=key_episode,
             region=self.region if region is None else region,
             keep_out=no_keep_out() if keep_out is None else keep_out,
-            object_index=self.slots.draw(key_order, start.is_placed, roles),
+            object_index=self._draw_slots(key_order, start.is_placed, roles),
             first_slot=first_slot,
             slot=first_slot,
             attempt=jnp.int32(0),
             poses=start.poses,
             is_placed=start.is_placed,
-            history=empty_history(
-                config.max_attempts if self.history_rows else 0, self.history_rows
-            ),
+            history=self._empty_history(),
             counts=Counts(
                 attempts=jnp.zeros(self.num_slots, jnp.int32),
                 steps=jnp.zeros(self.num_slots, jnp.int32),
@@ -432,12 +306,64 @@ class Rules(struct.PyTreeNode, eq=False):
             drift=jnp.float32(0),
             support_graph=empty_graph(self.geometry),
             roles=roles,
-            surface=None
-            if self.surfaces is None
-            else jnp.full(self.geometry.num_objects, -1, jnp.int32),
         )
+        if self.surfaces is not None:
+            nowhere = jnp.full(self.geometry.num_objects, -1, jnp.int32)
+            episode = episode.replace(surface=nowhere)
         episode = self._with_surface(episode, jax.random.fold_in(key, 5))
         return self._with_orientation(episode, jax.random.fold_in(key, 3))
+
+    def _draw_slots(self, key: Array, is_taken: Array, roles: Array | None) -> Array:
+        """i32[S]: the objects that stand, then those to place, then -1 for slots without an object.
+
+        Those to place are a uniform subset of the objects not taken, whatever their order but "fixed"; those
+        of roles are among them and come first, each after those to which it is placed. Where objects are to
+        be inside of others, so many that fit are among them, and what they fit into comes first.
+        """
+        ranks = jnp.arange(self.geometry.num_objects, dtype=jnp.float32)
+        if self.config.order != "fixed":
+            ranks = jax.random.uniform(key, ranks.shape)
+        ranks = jnp.where(is_taken, jnp.inf, ranks)
+        if roles is not None:
+            ranks = ranks.at[roles].set(-1.0)
+        is_container = None
+        if self.num_contained and self.config.order != "fixed":
+            # No search finds room inside of others where nothing that is drawn fits into anything.
+            is_content, is_container = draw_contents(
+                jax.random.fold_in(key, 6),
+                self.geometry,
+                is_taken,
+                self.num_contained,
+                self.config.num_objects,
+            )
+            ranks = jnp.where((is_content | is_container) & ~is_taken, ranks - 1.0, ranks)
+        chosen = jnp.argsort(ranks)[: self.config.num_objects].astype(jnp.int32)
+        chosen = jnp.where(jnp.isfinite(ranks[chosen]), chosen, -1)
+        if self.config.order in ("largest", "weighted"):
+            chosen = chosen[jnp.argsort(-self._order_weight(key)[chosen])]
+        if is_container is not None:
+            chosen = chosen[jnp.argsort(~is_container[chosen], stable=True)]
+        if roles is not None and self.related is not None:
+            chosen = chosen[jnp.argsort(self.related.priority(roles)[chosen], stable=True)]
+        standing = jnp.nonzero(is_taken, size=self.num_started, fill_value=-1)[0].astype(jnp.int32)
+        slots = jnp.concatenate([standing, chosen])
+        slots = jnp.pad(slots, (0, self.num_slots - slots.shape[0]), constant_values=-1)
+        return slots[jnp.argsort(slots < 0, stable=True)]
+
+    @property
+    def num_contained(self) -> int:
+        """Objects that are drawn to be inside of others: one more than are asked for, for want of room."""
+        clutter = self.config.clutter
+        asked = math.ceil((clutter and clutter.contained) or 0)
+        return min(asked + 1, self.config.num_objects - 1) if asked else 0
+
+    def _order_weight(self, key: Array) -> Array:
+        """f32[K]: who comes first, highest first. With noise of Gumbel's it is a draw by Plackett-Luce."""
+        weight = jnp.log(footprint_area(self.geometry.half_extents))
+        if self.config.order == "largest":
+            return weight
+        noise = jax.random.gumbel(jax.random.fold_in(key, 1), weight.shape)
+        return ORDER_POWER * weight + noise
 
     @property
     def _num_counted(self) -> int:
@@ -456,21 +382,22 @@ class Rules(struct.PyTreeNode, eq=False):
         last = self.physics.config.last_step if self.history_steps is None else self.history_steps
         return last // stride + 1 if stride else 0
 
-    @property
-    def slots(self) -> SlotDraw:
-        """Which objects come, in which order."""
-        return SlotDraw(self.config, self.geometry, self.num_started, self.related)
+    def _empty_history(self) -> History:
+        """No attempt yet: all rows zero."""
+        num_rows = self.history_rows
+        most = self.config.max_attempts if num_rows else 0
+        return History(
+            action=jnp.zeros((most, 4), jnp.float32),
+            region=jnp.zeros((most, 3), jnp.float32),
+            trajectory=jnp.zeros((most, num_rows, 13), jnp.float32),
+            num_steps=jnp.zeros(most, jnp.int32),
+            is_tried=jnp.zeros(most, bool),
+        )
 
     @property
     def num_slots(self) -> int:
         """S: slots of those that stand there already, then of those to be placed."""
-        return self.slots.num_slots
-
-    @property
-    def acceptance(self) -> Acceptance:
-        """What is asked of a place, beyond standing still."""
-        parts = (self.related, self.surfaces, self.polygon, self.support_map)
-        return Acceptance(self.config, self.geometry, *parts)
+        return self.num_started + self.config.num_objects
 
     def focus(self, episode: Episode) -> Array:
         """i32: the current object (of a finished episode: some object)."""
@@ -488,9 +415,8 @@ class Rules(struct.PyTreeNode, eq=False):
         """The episode with an orientation drawn for its current object, where not all are upright."""
         if self.geometry.orientations is None:
             return episode
-        return episode.replace(
-            orientation=self.geometry.orientations.draw(key, self.focus(episode))
-        )
+        drawn = self.geometry.orientations.draw(key, self.focus(episode))
+        return episode.replace(orientation=drawn)
 
     def _with_surface(self, episode: Episode, key: Array) -> Episode:
         """The episode with a surface drawn for its current object, where there are several."""
@@ -498,14 +424,14 @@ class Rules(struct.PyTreeNode, eq=False):
             return episode
         assert episode.surface is not None
         focus = self.focus(episode)
-        drawn = self.surfaces.draw(key, episode, focus, footprint_area(self.geometry.half_extents))
-        if self.slots.num_contained and self.surfaces.number is None:
+        footprint = footprint_area(self.geometry.half_extents)
+        drawn = self.surfaces.draw(key, episode, focus, footprint)
+        if self.num_contained and self.surfaces.number is None:
             assert self.config.clutter is not None
             asked = self.config.clutter.contained or 0
             drawn = self.surfaces.beside_container(key, episode, focus, self.geometry, asked, drawn)
-        surface = episode.surface.at[focus].set(
-            jnp.where(episode.is_placed[focus], episode.surface[focus], drawn)
-        )
+        own = jnp.where(episode.is_placed[focus], episode.surface[focus], drawn)
+        surface = episode.surface.at[focus].set(own)
         return episode.replace(surface=surface, region=self.surfaces.region(drawn))
 
     def support_map_of(self, episode: Episode) -> SupportMap | None:
@@ -559,7 +485,7 @@ class Rules(struct.PyTreeNode, eq=False):
         is_active = ~episode.is_over
         focus = self.focus(episode)
         height_range = self.height_range(episode)
-        verdict = self.acceptance.verdict(episode, focus, settling)
+        verdict = self.verdict_of_place(episode, focus, settling)
         is_stable = verdict == Verdict.STABLE
         is_last = episode.slot + 1 >= episode.num_slots
         ordinal = episode.slot - episode.first_slot + 1
@@ -568,10 +494,8 @@ class Rules(struct.PyTreeNode, eq=False):
         after = self._commit(after, focus, settling, is_stable)
         after = self._count(after, episode.slot, settling, verdict, reward)
         after = self._take_apart(after)
-        # Those who step an episode by themselves need not change its key.
-        key = jax.random.fold_in(jax.random.fold_in(episode.key, 3), after.counts.attempts.sum())
-        after = self._with_draws(after, key)
-        after = jax.tree.map(lambda new, old: jnp.where(is_active, new, old), after, episode)
+        after = self._with_draws(after, _key_of_attempt(episode.key, 3, after))
+        after = choose(is_active, after, episode)
         transition = Transition(
             slot=self._slot(episode),
             object_index=focus,
@@ -583,6 +507,87 @@ class Rules(struct.PyTreeNode, eq=False):
             is_made=is_active,
         )
         return after, transition, is_stable & is_last & is_active
+
+    def verdict_of_place(self, episode: Episode, focus: Array, settling: Settling) -> Array:
+        """The attempt's verdict, i32: the simulator's, where nothing graver is found."""
+        verdict = settling.verdict
+        if self.config.min_margin:
+            is_poor = ~self.is_supported(episode, focus, settling)
+            verdict = _instead_of_stable(verdict, is_poor, Verdict.UNSUPPORTED)
+        pose = settling.poses[focus]
+        half_extents = self.geometry.half_extents[focus]
+        inside = is_inside(pose, half_extents, episode.region, self.config.containment)
+        support_map = map_below(self.geometry, episode.surface, focus)
+        placed = on_map(support_map, pose)
+        inside &= ~is_kept_out(placed, half_extents, episode.keep_out)
+        inside &= self.is_in_polygon(placed, half_extents)
+        if self.surfaces is not None:
+            inside &= self.surfaces.has_room(episode, focus)
+        if support_map is not None:
+            center = from_pose(pose).apply(self.geometry.center_of_mass[focus])
+            height = episode.region.T_world_region.inverse().apply(center)[2]
+            # Physics knows the lowest point of a surface alone.
+            is_graver = (verdict == Verdict.OVERFLOW) | (verdict == Verdict.NON_FINITE)
+            has_fallen = (height < 0) & ~is_graver & (verdict != Verdict.NONE)
+            verdict = jnp.where(has_fallen, int(Verdict.FELL), verdict)
+            if support_map.ceiling is not None:
+                cell = support_map.index_of(placed[0], placed[1])
+                inside &= height < support_map.ceiling.reshape(-1)[cell]
+        if self.config.overhang != "any":
+            inside &= ~self._is_beyond(episode, focus, settling)
+        verdict = _instead_of_stable(verdict, ~inside, Verdict.OUTSIDE)
+        if self.config.most_stacked is not None:
+            is_stacked = jnp.any(settling.bears & episode.is_placed)
+            num_stacked = jnp.sum(episode.is_placed & (episode.support_graph.level > 0))
+            is_one_more = is_stacked & (num_stacked >= self.config.most_stacked)
+            verdict = _instead_of_stable(verdict, is_one_more, Verdict.UNRELATED)
+        if self.related is None:
+            return verdict
+        is_related = self._is_related(self.related, episode, focus, settling)
+        return _instead_of_stable(verdict, ~is_related, Verdict.UNRELATED)
+
+    def _is_related(
+        self, related: RelatedObjects, episode: Episode, focus: Array, settling: Settling
+    ) -> Array:
+        """Whether all relations hold of which both objects are placed, the focus object included; bool."""
+        assert episode.roles is not None
+        is_placed = episode.is_placed.at[focus].set(True)
+        poses = safe_poses(settling.poses, is_placed)
+        is_carried = jnp.all(settling.bears | ~carriers_of(related, episode, focus))
+        return is_carried & holds_among(
+            related, episode.roles, self.geometry, poses, is_placed, episode.region
+        )
+
+    def is_in_polygon(self, pose: Array, half_extents: Array) -> Array:
+        """bool: whether an object, its pose f32[7] in the polygon's frame, is in it as far as is asked."""
+        if self.polygon is None:
+            return jnp.bool_(True)
+        is_center = self.config.containment == "center"
+        points = pose[None, :2] if is_center else box_corners(pose, half_extents)[:, :2]
+        return jnp.all(is_in_polygon(points, self.polygon))
+
+    def _is_beyond(self, episode: Episode, focus: Array, settling: Settling) -> Array:
+        """Whether anything that this episode placed reaches too far beyond the support's edge; bool."""
+        assert self.support_map is not None
+        if episode.surface is None:
+            shares = shares_beyond(self.support_map, self.geometry, settling.poses)
+        else:
+            on_one = partial(shares_beyond, geometry=self.geometry, poses=settling.poses)
+            each = jax.vmap(on_one)(self.support_map)
+            shares = each[jnp.maximum(episode.surface, 0), jnp.arange(each.shape[1])]
+        is_beyond = shares > most_beyond(self.config.overhang)
+        return jnp.any(self._is_ours(episode, focus) & is_beyond)
+
+    def _is_ours(self, episode: Episode, focus: Array) -> Array:
+        """bool[K]: what this episode placed, the focus object included."""
+        is_focus = jnp.arange(self.geometry.num_objects) == focus
+        return (episode.is_placed | is_focus) & ~episode.is_started
+
+    def is_supported(self, episode: Episode, focus: Array, settling: Settling) -> Array:
+        """Whether all that this episode placed, the focus object included, has the margin asked for; bool."""
+        own = self.geometry.own_margins_at(settling.poses)
+        asked = jnp.minimum(self.config.min_margin, _OWN_SHARE * own)
+        return ~jnp.any(self._is_ours(episode, focus) & (settling.margin < asked))
 
     def _push(
         self, episode: Episode, action: Array, height_range: Array, settling: Settling
@@ -622,13 +627,9 @@ class Rules(struct.PyTreeNode, eq=False):
             is_placed=jnp.where(is_stable, is_placed, episode.is_placed),
             slot=episode.slot + is_stable.astype(jnp.int32),
             attempt=attempt,
-            support_graph=jax.tree.map(
-                lambda new, old: jnp.where(is_stable, new, old),
-                support_graph,
-                episode.support_graph,
-            ),
-            history=jax.tree.map(
-                lambda rows: jnp.where(is_stable, jnp.zeros_like(rows), rows), episode.history
+            support_graph=choose(is_stable, support_graph, episode.support_graph),
+            history=choose(
+                is_stable, jax.tree.map(jnp.zeros_like, episode.history), episode.history
             ),
         )
 
@@ -660,13 +661,11 @@ class Rules(struct.PyTreeNode, eq=False):
         stays = episode.is_started
         if episode.surface is not None:
             stays |= episode.surface != episode.surface[self.focus(episode)]
-        ruined = remove(
-            episode, choose_removal(episode, self.geometry, stays), self.geometry, self.related
-        )
+        which = choose_removal(episode, self.geometry, stays)
+        ruined = remove(episode, which, self.geometry, self.related)
         # What could not be filled again within the budget is not worth taking apart.
         is_ruined = (episode.attempt >= config.ruin_after) & ~self._is_spent(ruined)
-        after = jax.tree.map(lambda new, old: jnp.where(is_ruined, new, old), ruined, episode)
-        return after.replace(is_over=is_over)
+        return choose(is_ruined, ruined, episode).replace(is_over=is_over)
 
     def _is_spent(self, episode: Episode) -> Array:
         """Whether the attempts that are left are fewer than the slots to fill, bool."""
@@ -689,26 +688,9 @@ class Rules(struct.PyTreeNode, eq=False):
         """What moved in the last check is taken away and comes again, if attempts are left."""
         moved = has_moved(standing.shift, standing.turn, self.physics.config)
         moved &= episode.is_placed & ~episode.is_started
-        fewer = remove(episode, moved, self.geometry, self.related).replace(
-            is_over=jnp.bool_(False)
-        )
-        key = jax.random.fold_in(jax.random.fold_in(episode.key, 6), episode.counts.attempts.sum())
-        fewer = self._with_draws(fewer, key)
-        again = (
-            is_filled
-            & (standing.verdict == Verdict.CREPT)
-            & jnp.any(moved)
-            & ~self._is_spent(fewer)
-        )
-        return jax.tree.map(lambda new, old: jnp.where(again, new, old), fewer, episode)
-
-
-def empty_history(max_attempts: int, num_rows: int) -> History:
-    """No attempt yet: all rows zero."""
-    return History(
-        action=jnp.zeros((max_attempts, 4), jnp.float32),
-        region=jnp.zeros((max_attempts, 3), jnp.float32),
-        trajectory=jnp.zeros((max_attempts, num_rows, 13), jnp.float32),
-        num_steps=jnp.zeros(max_attempts, jnp.int32),
-        is_tried=jnp.zeros(max_attempts, bool),
-    )
+        fewer = remove(episode, moved, self.geometry, self.related)
+        key = _key_of_attempt(episode.key, 6, episode)
+        fewer = self._with_draws(fewer.replace(is_over=jnp.bool_(False)), key)
+        is_crept = is_filled & (standing.verdict == Verdict.CREPT)
+        again = is_crept & jnp.any(moved) & ~self._is_spent(fewer)
+        return choose(again, fewer, episode)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import jaxlie
 from flax import struct
 
-from cluttergen_jax.placement.region import Region, from_pose
+from cluttergen_jax.placement.region import Region, from_pose, safe_poses
 from cluttergen_jax.placement.types import Counts, Episode
 from cluttergen_jax.types import Array
 
@@ -75,9 +75,7 @@ def scene_of(episode: Episode) -> SceneBatch:
     """The scene of one finished episode, without leading axes."""
     index = episode.object_index
     is_placed = (jnp.arange(index.shape[0]) < episode.slot) & (index >= 0)
-    poses = jnp.where(
-        is_placed[:, None], episode.poses[jnp.maximum(index, 0)], jnp.eye(7, dtype=jnp.float32)[3]
-    )
+    poses = safe_poses(episode.poses[jnp.maximum(index, 0)], is_placed)
     support_graph = episode.support_graph
     return SceneBatch(
         object_index=index,
@@ -89,11 +87,5 @@ def scene_of(episode: Episode) -> SceneBatch:
         drift=episode.drift,
         counts=episode.counts,
         level=jnp.where(is_placed, support_graph.level[jnp.maximum(index, 0)], -1),
-        num_touching=num_touching(support_graph.leans_on, episode.is_placed),
+        num_touching=support_graph.num_touching(episode.is_placed),
     )
-
-
-def num_touching(leans_on: Array, is_placed: Array) -> Array:
-    """i32: the pairs of placed objects (bool[K]) that touch, from `Bearing.leans_on`, bool[K, K]."""
-    touch = (leans_on | leans_on.T) & is_placed & is_placed[:, None]
-    return jnp.sum(jnp.triu(touch, 1)).astype(jnp.int32)

@@ -33,15 +33,18 @@ from cluttergen_jax.placement.problem import (
     ProblemConfig,
     Setup,
     WorldSizes,
-    check_crowding,
-    check_number,
     compose,
     keep_out_of,
 )
 from cluttergen_jax.placement.region import KeepOut
-from cluttergen_jax.placement.room import check_room
+from cluttergen_jax.placement.room import (
+    ROOM,
+    check_crowding,
+    check_number,
+    check_room,
+    check_surface,
+)
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
-from cluttergen_jax.placement.surface_set import ROOM, check_surface
 from cluttergen_jax.placement.types import Start
 from cluttergen_jax.placement.world import World, columns_of
 from cluttergen_jax.types import Array

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import jax
@@ -12,23 +11,13 @@ from flax import struct
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
-from cluttergen_jax.config import ContactConfig
-from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.physics.margin import support_margin
-from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.containers import num_contained
 from cluttergen_jax.placement.region import Region
+from cluttergen_jax.placement.room import ROOM
 from cluttergen_jax.placement.types import Episode, Geometry
 from cluttergen_jax.types import Array
 
-ROOM = 0.003
-"""Metres that have to be free above the tallest object under a board."""
 _LEAST_FREE = 0.02
-# Metres: of a base's points, and of a margin that holds.
-_TOUCHING = 1e-4
-_STANDS = 0.0005
-
-_TURNS = 16
 _FAR = 100.0
 """Metres, more than any support measures."""
 
@@ -146,58 +135,3 @@ class SurfaceSet(struct.PyTreeNode):
             return jnp.bool_(True)
         own = episode.surface[focus]
         return jnp.sum((episode.surface == own) & episode.is_placed) < self.number[own]
-
-
-def check_surface(
-    objects: Sequence[ObjectAsset],
-    support: SupportAsset,
-    placement: PlacementConfig,
-    contact: ContactConfig,
-    has_region: bool,
-) -> None:
-    """Refuses objects that cannot stand on a slope, or under what hangs over a surface (ConfigError).
-
-    Released upright they tip or slide whichever way they are turned; in other poses they may stand.
-    """
-    if not support.named:
-        return
-    surfaces = [surface for surface, _ in support.asked]
-    if len(surfaces) > 1 and has_region:
-        hint = f"surface={surfaces[0].name!r}, or no region"
-        raise ConfigError("a region with several surfaces", "the surfaces' own regions", hint)
-    if placement.poses != "upright":
-        return
-    friction = contact.friction[0]
-    slope = min(surface.tilt for surface in surfaces)
-    fallen = [each.name for each in objects if not _stands_on_slope(each, slope, friction)]
-    if fallen:
-        raise ConfigError(
-            f"objects that tip, roll or slide on a slope of {math.degrees(slope):.1f} degrees, "
-            f"however they are turned: {', '.join(fallen)}",
-            "other objects",
-            "exclude=" + repr(tuple(fallen)),
-        )
-    free = max(surface.free_height for surface in surfaces)
-    tall = [each.name for each in objects if 2 * each.half_extents[2] + ROOM > free]
-    if tall:
-        raise ConfigError(
-            f"objects that are too tall for {', '.join(surface.name for surface in surfaces)} of support "
-            f"{support.name!r}, with {free:.3f} m of room: {', '.join(tall)}",
-            "lower ones",
-            "exclude=" + repr(tuple(tall)),
-        )
-
-
-def _stands_on_slope(asset: ObjectAsset, slope: float, friction: float) -> bool:
-    """Whether a plumb line through its centre of mass meets its base for some turn, and it does not slide."""
-    if slope == 0:
-        return True
-    vertices = np.concatenate([part.vertices for part in asset.parts])
-    low = vertices[:, 2].min()
-    base = vertices[vertices[:, 2] < low + _TOUCHING][:, :2]
-    lean = (asset.center_of_mass[2] - low) * math.tan(slope)
-    angles = 2 * np.pi * np.arange(_TURNS) / _TURNS
-    centers = asset.center_of_mass[:2] + lean * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    margin = max(support_margin(base - center) for center in centers)
-    own = friction if asset.friction is None else asset.friction
-    return margin > _STANDS and math.tan(slope) < own

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+from typing import Any, TypeVar
+
 import jax
 import jax.numpy as jnp
 import jaxlie
@@ -9,8 +12,20 @@ from flax import struct
 
 from cluttergen_jax.assets.support_map import VOID
 from cluttergen_jax.placement.boxes import Boxes
-from cluttergen_jax.placement.region import KeepOut, Region
+from cluttergen_jax.placement.region import KeepOut, Region, safe_poses
 from cluttergen_jax.types import Array, Settling
+
+T = TypeVar("T")
+
+
+def take(tree: T, index: Any) -> T:
+    """A pytree of the entries of its arrays at `index`."""
+    return jax.tree.map(lambda leaf: leaf[index], tree)
+
+
+def choose(condition: Array, yes: T, no: T) -> T:
+    """One pytree or another that is like it, by a condition without axes."""
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
 
 
 class Orientations(struct.PyTreeNode):
@@ -58,8 +73,12 @@ class Orientations(struct.PyTreeNode):
 
 def _up_in_object(quaternion: Array) -> Array:
     """f32[..., 3]: which direction of the object points up."""
-    w, x, y, z = (quaternion[..., axis] for axis in range(4))
-    return jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1)
+    w = quaternion[..., 0]
+    x = quaternion[..., 1]
+    y = quaternion[..., 2]
+    z = quaternion[..., 3]
+    up = [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
+    return jnp.stack(up, axis=-1)
 
 
 class SupportMap(struct.PyTreeNode):
@@ -79,14 +98,10 @@ class SupportMap(struct.PyTreeNode):
     ceiling: Array | None = None
     T_map_world: jaxlie.SE3 | None = None
 
-    def of_surface(self, index: Array | int) -> SupportMap:
-        """One of several."""
-        return jax.tree.map(lambda leaf: leaf[index], self)
-
     @property
     def first(self) -> SupportMap:
         """The first of several, or the one that it is."""
-        return self.of_surface(0) if self.height.ndim > 2 else self
+        return take(self, 0) if self.height.ndim > 2 else self
 
     def place(self, T_world_x: jaxlie.SE3) -> jaxlie.SE3:
         """T_map_x; its z may be another where the map has the world's x and y."""
@@ -94,20 +109,33 @@ class SupportMap(struct.PyTreeNode):
 
     def is_under(self, xy: Array) -> Array:
         """bool[...]: whether the support is below points f32[..., 2] of the map, to half a cell."""
-        return (
-            self.height.reshape(-1).at[self.index_of(xy[..., 0], xy[..., 1])].get(mode="clip")
-            > VOID
-        )
+        index = self.index_of(xy[..., 0], xy[..., 1])
+        return look_up(self.height, index) > VOID
 
     def index_of(self, x: Array, y: Array) -> Array:
         """i32[...]: the cells of points f32[...] of the map, in the flattened map."""
-        i, j = (
-            jnp.clip(
-                (value - self.corner[k]) * (1 / self.cell), 0.0, self.height.shape[k] - 1.0
-            ).astype(jnp.int32)
-            for k, value in enumerate((x, y))
-        )
-        return i * self.height.shape[1] + j
+        offset = (x - self.corner[0], y - self.corner[1])
+        return cell_index(offset, (self.cell, self.cell), self.height.shape)
+
+
+def look_up(grid: Array, index: Array) -> Array:
+    """[...]: the entries of [W, H] at cells i32[...] of the flattened map."""
+    return grid.reshape(-1).at[index].get(mode="clip")
+
+
+def cell_index(
+    offset: tuple[Array, Array], cell: tuple[float, float], shape: tuple[int, ...]
+) -> Array:
+    """i32[...]: cells of a flattened map; off the map, one of its border.
+
+    Args:
+      offset: x and y from the map's corner, f32[...] each, metres.
+      cell: the sides of a cell, metres; shape: the number of cells along each.
+    """
+    # Clipped before it is cut to whole numbers, so that nothing negative is rounded towards zero.
+    i = jnp.clip(offset[0] * (1 / cell[0]), 0.0, shape[0] - 1.0).astype(jnp.int32)
+    j = jnp.clip(offset[1] * (1 / cell[1]), 0.0, shape[1] - 1.0).astype(jnp.int32)
+    return i * shape[1] + j
 
 
 class Hollows(struct.PyTreeNode):
@@ -127,7 +155,7 @@ class Hollows(struct.PyTreeNode):
 
     def take(self, index: Array) -> Hollows:
         """Those of objects i32[...]."""
-        return jax.tree.map(lambda leaf: leaf[index], self)
+        return take(self, index)
 
     def boxes(self, poses: Array) -> Boxes:
         """The hollows of the objects at world poses f32[K, 7]."""
@@ -221,27 +249,19 @@ class Body(struct.PyTreeNode):
     def of(geometry: Geometry, index: Array, orientation: Array | None) -> Body:
         """Object `index`, i32, in an orientation, i32; None where all are upright."""
         found = geometry.orientations
-        if found is None:
-            half = geometry.half_extents[index]
-            return Body(
-                quaternion=None,
-                half_extents=half,
-                height=half[2],
-                center_of_mass=geometry.center_of_mass[index],
-                own_margin=geometry.own_margin[index],
-                column_xy=geometry.column_xy[index],
-                column_bottom=geometry.column_bottom[index],
-                is_column=geometry.is_column[index],
-            )
+        if found is not None:
+            names = [field.name for field in fields(Body)]
+            return Body(**{name: getattr(found, name)[index, orientation] for name in names})
+        half = geometry.half_extents[index]
         return Body(
-            quaternion=found.quaternion[index, orientation],
-            half_extents=found.half_extents[index, orientation],
-            height=found.height[index, orientation],
-            center_of_mass=found.center_of_mass[index, orientation],
-            own_margin=found.own_margin[index, orientation],
-            column_xy=found.column_xy[index, orientation],
-            column_bottom=found.column_bottom[index, orientation],
-            is_column=found.is_column[index, orientation],
+            quaternion=None,
+            half_extents=half,
+            height=half[2],
+            center_of_mass=geometry.center_of_mass[index],
+            own_margin=geometry.own_margin[index],
+            column_xy=geometry.column_xy[index],
+            column_bottom=geometry.column_bottom[index],
+            is_column=geometry.is_column[index],
         )
 
 
@@ -319,6 +339,11 @@ class SupportGraph(struct.PyTreeNode):
     level: Array
     margin: Array
 
+    def num_touching(self, is_placed: Array) -> Array:
+        """i32: the pairs of placed objects, bool[K], that touch."""
+        touch = (self.leans_on | self.leans_on.T) & is_placed & is_placed[:, None]
+        return jnp.sum(jnp.triu(touch, 1)).astype(jnp.int32)
+
 
 class Episode(struct.PyTreeNode):
     """Filling one support. K objects in the world, S slots.
@@ -366,6 +391,11 @@ class Episode(struct.PyTreeNode):
     orientation: Array | None = None
     roles: Array | None = None
     surface: Array | None = None
+
+    @property
+    def safe_poses(self) -> Array:
+        """f32[K, 7]: `poses`, the identity for what is not placed."""
+        return safe_poses(self.poses, self.is_placed)
 
     @property
     def num_slots(self) -> Array:

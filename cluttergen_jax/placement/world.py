@@ -21,7 +21,7 @@ from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.margin import support_margin
-from cluttergen_jax.placement.support_map import map_of_surfaces
+from cluttergen_jax.placement.heightmap import map_of_surfaces
 from cluttergen_jax.placement.types import Geometry, Orientations
 
 MAX_OBJECTS = 200
@@ -140,17 +140,24 @@ def on_device(arrays: Any) -> Any:
     return jax.device_put(narrowed)
 
 
+def pad_rows(array: np.ndarray, length: int) -> np.ndarray:
+    """An array with zeros behind its first axis, up to a length."""
+    return np.pad(array, [(0, length - len(array))] + [(0, 0)] * (array.ndim - 1))
+
+
 def geometry_of(world: World, orientations: Orientations | None = None) -> Geometry:
     """The world's objects as arrays, columns padded to the longest.
 
     Args:
       orientations: in which they are released; None for upright.
     """
-    most = max(len(columns.sample) for columns in world.columns)
-
-    def pad(arrays: list[np.ndarray]) -> np.ndarray:
-        return np.stack([np.pad(a, [(0, most - len(a))] + [(0, 0)] * (a.ndim - 1)) for a in arrays])
-
+    samples = [columns.sample for columns in world.columns]
+    most = max(map(len, samples))
+    column_xy = []
+    column_bottom = []
+    for columns in world.columns:
+        column_xy.append(pad_rows(columns.xy[columns.sample], most))
+        column_bottom.append(pad_rows(columns.bottom[columns.sample], most))
     runs = [surface_runs(columns.surface) for columns in world.columns]
     owner = np.repeat(np.arange(len(runs), dtype=np.int32), [len(run) for run in runs])
     boxes = [(*box.center, *box.half_extents, box.yaw) for box in world.support.boxes]
@@ -159,9 +166,9 @@ def geometry_of(world: World, orientations: Orientations | None = None) -> Geome
         center_of_mass=world.layout.center_of_mass,
         own_margin=np.array([own_margin_of(asset) for asset in world.objects]),
         cloud=np.stack([asset.cloud for asset in world.objects]),
-        column_xy=pad([columns.xy[columns.sample] for columns in world.columns]),
-        column_bottom=pad([columns.bottom[columns.sample] for columns in world.columns]),
-        is_column=pad([np.ones(len(columns.sample), bool) for columns in world.columns]),
+        column_xy=np.stack(column_xy),
+        column_bottom=np.stack(column_bottom),
+        is_column=np.arange(most) < np.array([len(sample) for sample in samples])[:, None],
         surface=np.concatenate(runs),
         surface_owner=owner,
         boxes=np.array(boxes).reshape(-1, 7),
@@ -178,37 +185,26 @@ def pad_geometry(geometry: Geometry, num_columns: int, num_runs: int) -> Geometr
     Raises:
       ValueError: they are longer already.
     """
-    if geometry.orientations is not None:
-        return geometry.replace(orientations=_padded(geometry.orientations, num_columns, num_runs))
-    columns = num_columns - geometry.is_column.shape[1]
-    runs = num_runs - len(geometry.surface)
+    found: Any = geometry.orientations or geometry
+    columns = num_columns - found.is_column.shape[-1]
+    runs = num_runs - len(found.surface)
     if min(columns, runs) < 0:
         raise ValueError(f"{-columns} columns or {-runs} runs of surface too many")
-    again = jnp.minimum(jnp.arange(num_runs), len(geometry.surface) - 1)
-    return geometry.replace(
-        column_xy=jnp.pad(geometry.column_xy, ((0, 0), (0, columns), (0, 0))),
-        column_bottom=jnp.pad(geometry.column_bottom, ((0, 0), (0, columns))),
-        is_column=jnp.pad(geometry.is_column, ((0, 0), (0, columns))),
-        surface=geometry.surface[again],
-        surface_owner=geometry.surface_owner[again],
-    )
-
-
-def _padded(found: Orientations, num_columns: int, num_runs: int) -> Orientations:
-    columns = num_columns - found.is_column.shape[2]
     again = jnp.minimum(jnp.arange(num_runs), len(found.surface) - 1)
-    return found.replace(
-        column_xy=jnp.pad(found.column_xy, ((0, 0), (0, 0), (0, columns), (0, 0))),
-        column_bottom=jnp.pad(found.column_bottom, ((0, 0), (0, 0), (0, columns))),
-        is_column=jnp.pad(found.is_column, ((0, 0), (0, 0), (0, columns))),
+    before = [(0, 0)] * (found.is_column.ndim - 1)
+    longer = found.replace(
+        column_xy=jnp.pad(found.column_xy, [*before, (0, columns), (0, 0)]),
+        column_bottom=jnp.pad(found.column_bottom, [*before, (0, columns)]),
+        is_column=jnp.pad(found.is_column, [*before, (0, columns)]),
         surface=found.surface[again],
         surface_owner=found.surface_owner[again],
     )
+    return longer if found is geometry else geometry.replace(orientations=longer)
 
 
 def own_margin_of(asset: ObjectAsset) -> float:
     """Metres: the support margin of an object that stands in its own frame on a flat table."""
-    vertices = np.concatenate([part.vertices for part in asset.parts])
+    vertices = asset.vertices
     bottom = vertices[vertices[:, 2] < vertices[:, 2].min() + _TOUCHING]
     return support_margin(bottom[:, :2] - asset.center_of_mass[:2])
 

@@ -7,7 +7,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import rotate_in_plane, transform_points
-from cluttergen_jax.placement.rollout.replay import Attempt, Replay
+from cluttergen_jax.placement.replay import Attempt, Replay
 from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.renderer import Trail
 from cluttergen_jax.rendering.scene_renderer import (

@@ -20,7 +20,7 @@ from PIL import Image
 from cluttergen_jax.config import FilmFormat
 from cluttergen_jax.errors import ClutterGenError, ConfigError, MissingExtraError
 from cluttergen_jax.files import file_whole
-from cluttergen_jax.placement.rollout.replay import Attempt, Replay
+from cluttergen_jax.placement.replay import Attempt, Replay
 from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.config import FilmConfig
 from cluttergen_jax.rendering.figure import GREEN, trails_of

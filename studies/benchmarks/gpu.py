@@ -28,7 +28,7 @@ from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.evaluation.machine import machine, sentence
-from cluttergen_jax.physics.mjx_scenes import room_for
+from cluttergen_jax.physics.mjx import room_for
 from cluttergen_jax.placement.world import make_world
 from studies.benchmarks import gpu_engines, gpu_training
 from studies.benchmarks.bodies import box
@@ -91,7 +91,7 @@ def small(out: Path) -> Scales:
             block=2,
             lanes=(2,),
             begun=2,
-            engines=("native", "warp", "warp, sleeping"),
+            engines=("native", "warp", "warp, not compacted"),
             cases=(("clear", "whole check"),),
             awake_steps=2,
         ),

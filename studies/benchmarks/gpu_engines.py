@@ -14,8 +14,7 @@ import numpy as np
 
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.generation import make_sampler
-from cluttergen_jax.physics.mjx import MjxPhysics
-from cluttergen_jax.physics.mjx_scenes import WarpOptions
+from cluttergen_jax.physics.mjx import MjxPhysics, WarpOptions
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, Rollout
 from cluttergen_jax.placement.world import World
@@ -27,12 +26,8 @@ from studies.benchmarks.sampled import placed_poses
 WARP = {
     "warp": WarpOptions(),
     "warp, not compacted": WarpOptions(least_batch=0),
-    "warp, staged": WarpOptions(graph_mode="WARP_STAGED"),
     # `room_for` gives 214 contacts and 1,284 rows to the objects of dining; kernels run over all of them.
     "warp, half the room": WarpOptions(num_contacts=107, num_rows=642),
-    "warp, sleeping": WarpOptions(sleeps=True),
-    "warp, sleeping, 3 awake": WarpOptions(sleeps=True, num_awake=3),
-    "warp, sleeping, 5 awake": WarpOptions(sleeps=True, num_awake=5),
 }
 """Ways to simulate with Warp, by name; `native` is measured beside them."""
 
@@ -59,7 +54,7 @@ class Scale:
     lanes: tuple[int, ...] = (512, 2048, 8192, 16384)
     begun: int = 3
     engines: tuple[str, ...] = ("native", *WARP)
-    compared: tuple[str, ...] = ("native", "warp", "warp, sleeping")
+    compared: tuple[str, ...] = ("native", "warp")
     cases: tuple[tuple[str, str], ...] = (
         ("clear", "whole check"),
         ("clear", "no check"),

@@ -15,7 +15,7 @@ from cluttergen_jax.evaluation.resolved import MissingRowError
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.numerics import new_key
-from cluttergen_jax.placement.rollout.record import Recorder, rectangle_of
+from cluttergen_jax.placement.rollout import EpisodeRecorder, rectangle_of
 from cluttergen_jax.rendering.assets import close_points, render_scene
 from cluttergen_jax.rendering.figure import closed_loop_figure
 from cluttergen_jax.rendering.gl import renderer_status
@@ -125,7 +125,7 @@ def _draw_attempts(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findi
                 resolved = runner.resolve(trial)
                 sampler = runner.sampler(resolved)
                 world = runner.world(resolved)
-                recorder = Recorder(sampler, world, width_of(trial.trials))
+                recorder = EpisodeRecorder(sampler, world, width_of(trial.trials))
             try:
                 image = closed_loop_figure(recorder.record(trial.seed, int(scene)))
             except ConfigError:

@@ -9,8 +9,7 @@ from cluttergen_jax.downstream.placer.map_search import APART, best_apart, searc
 from cluttergen_jax.downstream.placer.proposers import GeometryPlacer
 from cluttergen_jax.downstream.placer.query import PlacementQuery
 from cluttergen_jax.placement.heightmap import VOID, HeightMap
-from cluttergen_jax.placement.search.fit import UnderSide
-from cluttergen_jax.placement.search.search import CLEARANCE, SearchConfig
+from cluttergen_jax.placement.search import CLEARANCE, SearchConfig, UnderSide
 
 HALF = 0.02
 """Half the side of the cube that is placed, metres."""

@@ -5,7 +5,7 @@ import numpy as np
 
 from cluttergen_jax.downstream.placer.query import Example, PlacementQuery
 from cluttergen_jax.placement.heightmap import VOID, HeightMap
-from cluttergen_jax.placement.search.fit import UnderSide
+from cluttergen_jax.placement.search import UnderSide
 from cluttergen_jax.types import Verdict
 
 CELL = 0.01

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle, cuboid_table
-from cluttergen_jax.placement.rollout.replay import Attempt, Replay
+from cluttergen_jax.placement.replay import Attempt, Replay
 from cluttergen_jax.types import Verdict
 from tests.helpers.drawing import GREEN, RED
 

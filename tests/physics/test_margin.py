@@ -15,7 +15,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.judging.robustness import TiltConfig, tilt
 from cluttergen_jax.judging.scene_models import SceneModels
 from cluttergen_jax.physics.margin import support_margin
-from cluttergen_jax.physics.mjx_scenes import support_margins
+from cluttergen_jax.physics.mjx import support_margins
 from cluttergen_jax.placement.types import Start
 from cluttergen_jax.placement.world import make_world
 from cluttergen_jax.types import Verdict

@@ -8,7 +8,7 @@ import pytest
 import trimesh
 from mujoco import mjx
 
-from cluttergen_jax.physics.mjx_pairs import Pairs, faces_first
+from cluttergen_jax.physics.mjx_pairs import ConvexPairs, faces_first
 
 SHAPES = {
     "cone": trimesh.creation.cone(0.03, 0.06, sections=9),
@@ -75,7 +75,7 @@ def frictions(data):
 
 @pytest.mark.slow
 def test_the_contacts_are_those_of_mjx(model, on_device):
-    pairs = Pairs(model, on_device, 3)
+    pairs = ConvexPairs(model, on_device, 3)
     data = scenes(model, pairs)
     ours = jax.vmap(lambda each: pairs.find_contacts(on_device, mjx.kinematics(on_device, each)))(
         data
@@ -96,7 +96,7 @@ def test_the_contacts_are_those_of_mjx(model, on_device):
 @pytest.mark.slow
 def test_more_pairs_than_are_looked_at_are_told(model, on_device, monkeypatch):
     monkeypatch.setattr("cluttergen_jax.physics.mjx_pairs._NEAR_PAIRS", 1)
-    pairs = Pairs(model, on_device, 3)
+    pairs = ConvexPairs(model, on_device, 3)
     data = scenes(model, pairs)
     apart = (
         data.qpos.reshape(-1, 3, 7)

@@ -10,8 +10,7 @@ import pytest
 
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.physics import make_physics
-from cluttergen_jax.physics.mjx import MjxPhysics
-from cluttergen_jax.physics.mjx_scenes import WarpOptions
+from cluttergen_jax.physics.mjx import MjxPhysics, WarpOptions
 from cluttergen_jax.types import Verdict
 from tests.helpers.worlds import TOP, box, layout_of, prism, scene, tilted, trio
 
@@ -330,13 +329,6 @@ def test_warp_tells_a_full_contact_list_to_all():
     )
 
 
-def settled(options):
-    """The reports of `SCENES` by Warp with these options."""
-    pytest.importorskip("warp", reason="needs the extra gpu")
-    physics = MjxPhysics(duo(), CONFIG, "warp", options)
-    return jax.tree.map(np.asarray, jax.jit(jax.vmap(physics.settle))(*batch()))
-
-
 @pytest.mark.slow
 def test_few_that_are_left_go_on_by_themselves_and_come_to_the_same():
     """A third of 64 scenes, then of those: some are decided at once, some soon, some at the last step."""
@@ -368,32 +360,7 @@ def test_few_that_are_left_go_on_by_themselves_and_come_to_the_same():
 
 
 @pytest.mark.slow
-def test_sleepers_wake_when_they_are_touched_and_change_no_verdict():
-    ours = settled(WarpOptions(sleeps=True))
-    awake = outcomes("warp")
-    np.testing.assert_array_equal(ours.verdict, awake.verdict)
-    calm = np.isin(
-        list(SCENES), ["resting", "dropped 1 mm", "dropped 5 mm", "not a number", "inactive"]
-    )
-    np.testing.assert_allclose(ours.num_steps[calm], awake.num_steps[calm], atol=2)
-    np.testing.assert_allclose(ours.poses[calm], awake.poses[calm], atol=1e-4)
-    # As in the native engine, a neighbour that nobody touches does not move at all.
-    row = list(SCENES).index("dropped 1 mm")
-    assert ours.shift[row, PRISM] == 0
-    assert ours.margin[row, PRISM] == np.inf
-    assert ours.shift[list(SCENES).index("pushed"), PRISM] > CONFIG.max_shift
-
-
-@pytest.mark.slow
-def test_more_that_wake_than_there_is_room_for_are_an_overflow():
-    ours = settled(WarpOptions(sleeps=True, num_awake=1))
-    wakes = np.isin(list(SCENES), ["overlapping", "pushed"])
-    assert (ours.verdict[wakes] == Verdict.OVERFLOW).all()
-    np.testing.assert_array_equal(ours.verdict[~wakes], outcomes("warp").verdict[~wakes])
-
-
-@pytest.mark.slow
-def test_the_last_check_keeps_everything_awake_whoever_slept():
+def test_the_last_check_is_staged_in_warp_too():
     pytest.importorskip("warp", reason="needs the extra gpu")
     config = dataclasses.replace(CONFIG, stand_full_steps=90)
     made = [
@@ -401,11 +368,10 @@ def test_the_last_check_keeps_everything_awake_whoever_slept():
         scene(duo(), {PRISM: (0, 0, TOP + 0.036)}),
     ]
     poses, is_placed = (np.stack(arrays) for arrays in zip(*made, strict=True))
-    for options in (WarpOptions(), WarpOptions(sleeps=True, num_awake=1)):
-        physics = MjxPhysics(duo(), config, "warp", options)
-        standing = jax.jit(jax.vmap(physics.stand))(poses, is_placed, np.ones(2, bool))
-        np.testing.assert_array_equal(standing.verdict, [Verdict.STABLE, Verdict.CREPT])
-        np.testing.assert_array_equal(standing.num_steps, [60, 90])
+    physics = MjxPhysics(duo(), config, "warp")
+    standing = jax.jit(jax.vmap(physics.stand))(poses, is_placed, np.ones(2, bool))
+    np.testing.assert_array_equal(standing.verdict, [Verdict.STABLE, Verdict.CREPT])
+    np.testing.assert_array_equal(standing.num_steps, [60, 90])
 
 
 @pytest.mark.slow

@@ -52,4 +52,4 @@ def test_what_reaches_too_far_beyond_the_edge_is_outside(overhang, most):
         pose = jnp.array([0.27 + 0.06 * share, 0, 0.75, 1, 0, 0, 0])
         settled = nothing.replace(poses=poses.at[0].set(pose))
         expected = Verdict.STABLE if share <= most else Verdict.OUTSIDE
-        assert int(rules.acceptance.verdict(episode, jnp.int32(0), settled)) == expected, share
+        assert int(rules.verdict_of_place(episode, jnp.int32(0), settled)) == expected, share

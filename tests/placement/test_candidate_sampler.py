@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from cluttergen_jax.placement.candidate_sampler import CandidateConfig, CandidateSampler
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.methods.baselines import LowestFit
 from cluttergen_jax.placement.methods.table import make_proposer
 from cluttergen_jax.placement.problem import ProblemConfig, make_problem
-from cluttergen_jax.placement.search.candidate_sampler import CandidateConfig, CandidateSampler
 from cluttergen_jax.types import Verdict
 
 BOX = "calculator"

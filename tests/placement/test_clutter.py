@@ -13,11 +13,11 @@ from shapely.geometry import box as rectangle
 
 from cluttergen_jax.learning.methods import Method, sampler_of
 from cluttergen_jax.placement.boxes import Boxes, Views, gaps, hidden_shares, spacing_of
+from cluttergen_jax.placement.candidate_sampler import shortfall, tilt_logits
 from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.features import FEATURES, Placing
 from cluttergen_jax.placement.problem import ProblemConfig, make_setup
 from cluttergen_jax.placement.rollout import Rollout
-from cluttergen_jax.placement.search.entropy_tilt import shortfall, tilt_logits
-from cluttergen_jax.placement.search.features import FEATURES, Placing
 from cluttergen_jax.scene.bank.table import table_of
 from tests.helpers.problems import trio_problem
 

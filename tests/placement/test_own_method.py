@@ -10,8 +10,13 @@ import pytest
 
 import cluttergen_jax as cg
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement.methods.own import OwnMethod
-from cluttergen_jax.placement.methods.table import METHODS, entry_of, find_method, make_proposer
+from cluttergen_jax.placement.methods.table import (
+    METHODS,
+    OwnMethod,
+    entry_of,
+    find_method,
+    make_proposer,
+)
 from cluttergen_jax.spec import SceneSpec
 from tests.helpers import own_methods
 from tests.helpers.own_methods import Weighted, at_rest, near_middle

@@ -20,10 +20,10 @@ from cluttergen_jax.generation.sources.replay import replay, replay_context_of
 from cluttergen_jax.learning.methods import sampler_of
 from cluttergen_jax.placement.boxes import Boxes, gaps
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.problem import ProblemConfig, check_crowding
+from cluttergen_jax.placement.problem import ProblemConfig
 from cluttergen_jax.placement.region import make_region
 from cluttergen_jax.placement.rollout import Rollout
-from cluttergen_jax.placement.room import check_room
+from cluttergen_jax.placement.room import check_crowding, check_room
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.types import Verdict
 from tests.helpers.worlds import box, prism

@@ -9,8 +9,7 @@ from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.methods.table import make_proposer
 from cluttergen_jax.placement.problem import ProblemConfig, compose
 from cluttergen_jax.placement.region import pose_of_action
-from cluttergen_jax.placement.rollout import BlockSampler
-from cluttergen_jax.placement.rollout.record import Recorder
+from cluttergen_jax.placement.rollout import BlockSampler, EpisodeRecorder
 from cluttergen_jax.types import Verdict
 from tests.helpers.worlds import trio
 
@@ -38,7 +37,7 @@ def scenes(sampler):
 
 @pytest.fixture(scope="module")
 def recordings(problem, sampler):
-    recorder = Recorder(sampler, problem.world, WIDTH)
+    recorder = EpisodeRecorder(sampler, problem.world, WIDTH)
     return [recorder.record(7, index) for index in range(WIDTH)]
 
 

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.placement.region import REGION_CHANGES, draw_region, find_change
+from cluttergen_jax.placement.region import REGION_CHANGES, ChangedRegion, find_change
 
 
 def draws(name, base, bounds, number=400):
     keys = jax.random.split(jax.random.key(7), number)
-    region = jax.vmap(lambda key: draw_region(key, find_change(name), base, bounds, 0.7))(keys)
+    region = jax.vmap(ChangedRegion(find_change(name), base, bounds, 0.7))(keys)
     pose = np.asarray(region.T_world_region.wxyz_xyz, np.float64)
     return (
         pose[:, 4:6],

@@ -17,11 +17,9 @@ from cluttergen_jax.placement.config import MAX_MARGIN, ORDER_POWER, PlacementCo
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.methods.table import make_proposer
 from cluttergen_jax.placement.problem import ProblemConfig, compose
-from cluttergen_jax.placement.rollout import BlockSampler
-from cluttergen_jax.placement.rollout.record import Recorder
-from cluttergen_jax.placement.rules import choose_removal, remove
+from cluttergen_jax.placement.rollout import BlockSampler, EpisodeRecorder
+from cluttergen_jax.placement.rules import choose_removal, remove, supported_by
 from cluttergen_jax.placement.scenes import scene_of
-from cluttergen_jax.placement.support_graph import supported_by
 from cluttergen_jax.placement.types import Start
 from cluttergen_jax.types import Verdict
 from tests.helpers.problems import HalfTable, made_up_rules
@@ -457,7 +455,7 @@ def test_every_finished_scene_stands(ruined):
 def test_a_recording_lets_what_is_taken_away_vanish(ruined):
     problem, sampler, scenes = ruined
     row = int(np.argmax(scenes.is_success * scenes.counts.attempts.max(1)))
-    recording = Recorder(sampler, problem.world, NUM).record(7, row)
+    recording = EpisodeRecorder(sampler, problem.world, NUM).record(7, row)
     placed = scenes.object_index[row][scenes.is_placed[row]]
     np.testing.assert_array_equal(recording.poses[placed], scenes.poses[row][scenes.is_placed[row]])
     taken = [recording.taken_away(number).tolist() for number in range(len(recording.attempts))]

@@ -13,9 +13,8 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.methods.baselines import LowestFit
 from cluttergen_jax.placement.problem import ProblemConfig, compose, region_of
-from cluttergen_jax.placement.search.fit import Candidates
-from cluttergen_jax.placement.search.search import FORBIDDEN
-from cluttergen_jax.placement.surface_set import check_surface
+from cluttergen_jax.placement.room import check_surface
+from cluttergen_jax.placement.search import FORBIDDEN, Candidates
 from cluttergen_jax.scene.bank import read_bank, read_scenes
 from cluttergen_jax.sensing.partial import Grid
 from cluttergen_jax.spec import SceneSpec
@@ -95,7 +94,7 @@ def test_an_object_has_to_end_on_its_own_surface(shelf):
         Verdict.OUTSIDE: above.position[2] + 0.05,
     }
     for verdict, z in ends.items():
-        found = rules.acceptance.verdict(episode, jnp.int32(0), settled(rules, (0.1, 0.0, z)))
+        found = rules.verdict_of_place(episode, jnp.int32(0), settled(rules, (0.1, 0.0, z)))
         assert Verdict(int(found)) == verdict
 
 

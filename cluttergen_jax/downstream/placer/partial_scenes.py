@@ -224,6 +224,6 @@ def _verdict(rules: Rules, episode: Episode, settling: Any) -> tuple[Array, Arra
     _, transition, _ = rules.judge(episode, jnp.zeros(4), settling)
     asking = replace(rules, config=replace(rules.config, min_margin=MIN_MARGIN))
     is_stable = transition.verdict == int(Verdict.STABLE)
-    return transition.verdict, is_stable & asking.acceptance.is_supported(
+    return transition.verdict, is_stable & asking.is_supported(
         episode, rules.focus(episode), settling
     )

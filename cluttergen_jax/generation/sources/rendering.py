@@ -17,7 +17,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.generation.sources import BankSource, FileSource, open_source
-from cluttergen_jax.placement.rollout.replay import Replay
+from cluttergen_jax.placement.replay import Replay
 from cluttergen_jax.progress import track
 from cluttergen_jax.rendering.config import QUALITIES, FilmConfig, Quality
 from cluttergen_jax.rendering.figure import NUM_PROPOSALS, closed_loop_figure, density_figure

@@ -18,9 +18,8 @@ from cluttergen_jax.learning.methods import Method, choose_method, sampler_of
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint
 from cluttergen_jax.placement.methods.table import BASELINES, entry_of
 from cluttergen_jax.placement.problem import ProblemConfig, Setup, Standing, make_setup
-from cluttergen_jax.placement.rollout import BLOCK_SIZE
-from cluttergen_jax.placement.rollout.record import Recorder
-from cluttergen_jax.placement.rollout.replay import Replay
+from cluttergen_jax.placement.replay import Replay
+from cluttergen_jax.placement.rollout import BLOCK_SIZE, EpisodeRecorder
 from cluttergen_jax.placement.shelves import Shelves
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank
@@ -41,7 +40,7 @@ class ReplayContext:
 
     setup: Setup | Shelves
     checkpoints: dict[str, Checkpoint] = field(default_factory=dict)
-    _made: dict[tuple[str, int], Recorder] = field(default_factory=dict)
+    _made: dict[tuple[str, int], EpisodeRecorder] = field(default_factory=dict)
 
     @property
     def methods(self) -> tuple[str, ...]:
@@ -55,15 +54,17 @@ class ReplayContext:
     def record(
         self, method: str, seed: int, index: int, title: str, width: int = 1, num_proposals: int = 0
     ) -> Replay:
-        """Scene number `index` of `seed`, with its attempts; see `Recorder.record`."""
+        """Scene number `index` of `seed`, with its attempts; see `EpisodeRecorder.record`."""
         known = self._made.get((method, width))
         asked = Method(method, self.checkpoints.get(method))
         if isinstance(self.setup, Shelves):
             setup = self.setup.block(seed, index // BLOCK_SIZE)
             rollouts = {} if known is None else known.rollouts
-            known = Recorder(sampler_of(setup, asked), setup.problem.world, width, False, rollouts)
+            known = EpisodeRecorder(
+                sampler_of(setup, asked), setup.problem.world, width, False, rollouts
+            )
         elif known is None:
-            known = Recorder(sampler_of(self.setup, asked), self.setup.problem.world, width)
+            known = EpisodeRecorder(sampler_of(self.setup, asked), self.setup.problem.world, width)
         self._made[method, width] = known
         return known.record(seed, index, title, num_proposals)
 
@@ -150,7 +151,7 @@ def _not_recorded(bank: Bank, error: Exception) -> BankError:
 def replay(
     bank: Bank, context: ReplayContext, index: int, stored: Replay, num_proposals: int = 0
 ) -> Replay:
-    """Scene number `index` of a bank with its attempts, made once more; see `Recorder.record`.
+    """Scene number `index` of a bank with its attempts, made once more; see `EpisodeRecorder.record`.
 
     Raises:
       BankError: a person made it, or it is a pile; or made again it ends elsewhere: other versions, another

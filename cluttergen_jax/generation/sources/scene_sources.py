@@ -18,7 +18,7 @@ from cluttergen_jax.generation.sources.replay import ReplayContext, replay, repl
 from cluttergen_jax.learning.methods import checkpoint_of
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
 from cluttergen_jax.placement.problem import Setup
-from cluttergen_jax.placement.rollout.replay import Replay
+from cluttergen_jax.placement.replay import Replay
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.rendering.viewer.source import SceneSource
 from cluttergen_jax.scene.bank import Bank, read_bank

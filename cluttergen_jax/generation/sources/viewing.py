@@ -15,7 +15,7 @@ from cluttergen_jax.errors import BankError
 from cluttergen_jax.generation.generate import GeneratedBank
 from cluttergen_jax.generation.hand import HandBank
 from cluttergen_jax.generation.sources.scene_sources import LiveConfig, open_source
-from cluttergen_jax.placement.rollout.replay import Replay
+from cluttergen_jax.placement.replay import Replay
 from cluttergen_jax.rendering.assets import scene_spec
 from cluttergen_jax.rendering.lighting import FLOOR
 from cluttergen_jax.rendering.viewer.placing import PlacingPanel

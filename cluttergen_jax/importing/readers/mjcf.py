@@ -29,8 +29,7 @@ from cluttergen_jax.assets.deviation import is_within_parts
 from cluttergen_jax.assets.mass import MassProperties, combine_masses
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.parts import sound_points
-from cluttergen_jax.assets.shape import Joint, Piece
-from cluttergen_jax.assets.texture import Texture
+from cluttergen_jax.assets.shape import Joint, Piece, Texture
 from cluttergen_jax.errors import AssetError, first_names
 from cluttergen_jax.importing.readers import primitives
 from cluttergen_jax.importing.readers.mjcf_compile import NO_MASS, compile_with_notes, parse_mjcf

@@ -14,12 +14,12 @@ from cluttergen_jax.learning.policies.checkpoint import Checkpoint
 from cluttergen_jax.learning.ppo.checkpoint import blank, read_policy
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement import Episode, Rules
-from cluttergen_jax.placement.methods.baselines import LowestFit, costs_of_staying
-from cluttergen_jax.placement.search.candidate_sampler import (
+from cluttergen_jax.placement.candidate_sampler import (
     CandidateConfig,
     CandidateSampler,
     CandidateSet,
 )
+from cluttergen_jax.placement.methods.baselines import LowestFit, costs_of_staying
 from cluttergen_jax.types import Array
 
 NUM_FEATURES = 24

@@ -46,9 +46,9 @@ from cluttergen_jax.learning.training.worlds import (
 )
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement import Candidates, LowestFit, Rules
+from cluttergen_jax.placement.candidate_sampler import CandidateSet
 from cluttergen_jax.placement.config import MIN_MARGIN, PlacementConfig, placement_record
 from cluttergen_jax.placement.region import action_scale
-from cluttergen_jax.placement.search.candidate_sampler import CandidateSet
 from cluttergen_jax.placement.types import Episode, Transition
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.schema import Numbers, check_numbers
@@ -134,7 +134,7 @@ def example_of(explorer: Guided, before: Episode, transition: Transition) -> Exa
     is_at_rest = settling.is_quiet
     is_stable = transition.verdict == Verdict.STABLE
     is_fragile = transition.verdict == Verdict.FRAGILE
-    stands = is_stable | (is_fragile & rules.acceptance.is_supported(before, focus, settling))
+    stands = is_stable | (is_fragile & rules.is_supported(before, focus, settling))
     return Examples(
         features=features_of(rules, before, tried)[0],
         stands=stands,

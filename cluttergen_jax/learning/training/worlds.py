@@ -21,7 +21,8 @@ from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import BatchEngine, NumberedEngines, Physics
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.placement import HeightMapper, PlacementConfig, Rules
-from cluttergen_jax.placement.problem import check_number, region_of
+from cluttergen_jax.placement.problem import region_of
+from cluttergen_jax.placement.room import check_number
 from cluttergen_jax.placement.world import (
     NUM_COLUMN_SAMPLES,
     World,

@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from cluttergen_jax.placement.candidate_sampler import CandidateSampler, CandidateSet
 from cluttergen_jax.placement.region import Region, action_of_pose, is_in_polygon
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.search.candidate_sampler import CandidateSampler, CandidateSet
-from cluttergen_jax.placement.search.search import CLEARANCE, CandidateScores, Search
+from cluttergen_jax.placement.search import CLEARANCE, CandidateScores, Search
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 

@@ -6,9 +6,8 @@ import jax
 import jax.numpy as jnp
 
 from cluttergen_jax.placement.methods.baselines import LowestFit
-from cluttergen_jax.placement.region import action_of_pose, from_pose
-from cluttergen_jax.placement.search.fit import Candidates
-from cluttergen_jax.placement.search.search import CLEARANCE, FORBIDDEN
+from cluttergen_jax.placement.region import action_of_pose, from_pose, safe_poses
+from cluttergen_jax.placement.search import CLEARANCE, FORBIDDEN, Candidates
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 
@@ -66,8 +65,7 @@ class Packed(LowestFit, eq=False):
         """Boxes that stand there, in the region frame, seen from above: f32[S, 2], half sides, bool[S]."""
         index = jnp.maximum(episode.object_index, 0)
         is_there = (jnp.arange(len(index)) < episode.slot) & (episode.object_index >= 0)
-        pose = episode.poses[index]
-        pose = jnp.where(is_there[:, None], pose, jnp.eye(7)[3])
+        pose = safe_poses(episode.poses[index], is_there)
         T_region_object = jax.vmap(
             lambda each: episode.region.T_world_region.inverse() @ from_pose(each)
         )(pose)
@@ -96,7 +94,7 @@ def _places(
         limit = room[axis] - size[axis] - clearance
         return jnp.concatenate([jnp.stack([-limit, limit]), beside])
 
-    places = jnp.stack([jnp.stack([along(axis, size) for axis in (0, 1)]) for size in sizes])
+    places = jnp.stack([jnp.stack([along(0, size), along(1, size)]) for size in sizes])
     number = places.shape[-1]
     total = 2 * number * number
     is_many = total > _MOST_PLACES

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 
 from cluttergen_jax.physics.host import HostPhysics, empty_settling
 from cluttergen_jax.placement.region import is_inside, is_kept_out, to_pose
-from cluttergen_jax.placement.rollout.run import BlockSampler
-from cluttergen_jax.placement.types import Counts, Episode, Transition
+from cluttergen_jax.placement.rollout import BlockSampler
+from cluttergen_jax.placement.types import Counts, Episode, Transition, choose
 from cluttergen_jax.types import Array, Piling, Verdict
 
 
@@ -67,12 +67,11 @@ class PileSampler(BlockSampler, eq=False):
         counts = asking.counts
         is_slot = asking.object_index >= 0
         is_member = jnp.any((slots == jnp.arange(len(piling.releases))[:, None]) & is_slot, axis=1)
-        releases, steps = (
-            jnp.where(is_slot, each[slots], 0).astype(jnp.int32)
-            for each in (piling.releases, piling.steps)
-        )
+        releases = jnp.where(is_slot, piling.releases[slots], 0).astype(jnp.int32)
+        steps = jnp.where(is_slot, piling.steps[slots], 0).astype(jnp.int32)
         # All releases but the last of each object ended outside.
         again = jnp.maximum(releases - 1, 0).sum()
+        verdicts = counts.verdicts.at[Verdict.OUTSIDE].add(again)
         graph = asking.support_graph
         after = asking.replace(
             slot=jnp.where(is_filled, asking.num_slots, asking.slot).astype(jnp.int32),
@@ -90,10 +89,7 @@ class PileSampler(BlockSampler, eq=False):
                 attempts=releases,
                 steps=steps,
                 rest_steps=jnp.where(is_filled, steps, 0),
-                verdicts=counts.verdicts.at[Verdict.OUTSIDE]
-                .add(again)
-                .at[last]
-                .add((releases > 0).sum()),
+                verdicts=verdicts.at[last].add((releases > 0).sum()),
                 simulated_steps=piling.num_steps + piling.check_steps,
                 reward=jnp.float32(0),
             ),
@@ -115,9 +111,7 @@ class PileSampler(BlockSampler, eq=False):
             reward=jnp.float32(0),
             is_made=is_made,
         )
-        return jax.tree.map(
-            lambda new, old: jnp.where(is_made, new, old), after, before
-        ), transition
+        return choose(is_made, after, before), transition
 
     def _judge_places(self, episode: Episode, piling: Piling) -> Array:
         """The pile's verdict once the queried region and keep-out boxes have their say, i32."""

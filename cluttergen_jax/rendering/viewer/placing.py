@@ -12,7 +12,7 @@ import numpy as np
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.placement.hand import HandScene
-from cluttergen_jax.placement.rollout.replay import Replay
+from cluttergen_jax.placement.replay import Replay
 from cluttergen_jax.rendering.viewer.scene_nodes import (
     FailedAttempt,
     ObjectNodes,

@@ -15,7 +15,7 @@ from cluttergen_jax.assets.shading import linear, shade
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import PART_RGBA, Rectangle, SupportAsset
 from cluttergen_jax.geometry import transform_points, yaw_quaternion
-from cluttergen_jax.placement.rollout.replay import Attempt, Replay
+from cluttergen_jax.placement.replay import Attempt, Replay
 from cluttergen_jax.rendering.figure import heat_points
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.placement.hand import HandScene
-from cluttergen_jax.placement.rollout.replay import Replay
+from cluttergen_jax.placement.replay import Replay
 
 
 class SceneSource(Protocol):

@@ -25,7 +25,7 @@ import numpy as np
 from PIL import Image
 
 from cluttergen_jax.errors import ClutterGenError, ConfigError, MissingExtraError
-from cluttergen_jax.placement.rollout.replay import Replay
+from cluttergen_jax.placement.replay import Replay
 from cluttergen_jax.rendering.viewer.scene_nodes import SceneNodes, aim
 from cluttergen_jax.rendering.viewer.source import SceneSource
 from cluttergen_jax.rendering.viewer.words import attempt_words, scene_words

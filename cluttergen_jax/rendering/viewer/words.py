@@ -6,9 +6,8 @@ from collections import Counter
 
 import numpy as np
 
-from cluttergen_jax.placement.hand import HandScene
-from cluttergen_jax.placement.hand.types import Check, Drop, Lowered
-from cluttergen_jax.placement.rollout.replay import Replay
+from cluttergen_jax.placement.hand import Check, Drop, HandScene, Lowered
+from cluttergen_jax.placement.replay import Replay
 from cluttergen_jax.types import Verdict, small_length
 
 

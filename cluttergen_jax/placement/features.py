@@ -1,10 +1,11 @@
-"""Features of clutter: what a scene has of each, and what an object would add at each candidate."""
+"""What an object would lie on at each candidate, and what it would add there to each feature of clutter."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import jaxlie
 from flax import struct
@@ -19,12 +20,103 @@ from cluttergen_jax.placement.boxes import (
 )
 from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.placement.containers import is_contained, pairs_in
-from cluttergen_jax.placement.region import Region
-from cluttergen_jax.placement.scenes import num_touching
-from cluttergen_jax.placement.search.fit import Candidates
-from cluttergen_jax.placement.search.support_graph import Supporters
+from cluttergen_jax.placement.region import Region, from_pose
+from cluttergen_jax.placement.search import (
+    Candidates,
+    SearchScene,
+    base_share,
+    cells_under,
+    touching,
+)
 from cluttergen_jax.placement.types import Episode, Geometry
 from cluttergen_jax.types import Array
+
+_SAFE = 0.1
+_BITS = 32
+"""Bits of a whole number."""
+
+
+class Supporters(struct.PyTreeNode):
+    """The placed objects that would carry the current one at N candidates.
+
+    Attributes:
+      is_on: bool[N], something other than the support would carry it.
+      level: f32[N], how many objects would be below it, one upon the other.
+      margin: f32[N], metres, the least support margin of those that carry it; 0.1 for the support.
+      offset: f32[N], metres, the most by which its centre of mass would lie beyond the support of one that
+        carries it, in plan: that one's own margin around that one's centre of mass; -0.1 for the support.
+      touched: bool[N, K], the placed objects that it would touch.
+      base: f32[N], the share of its base, the lowest of its columns, that would touch something.
+    """
+
+    is_on: Array
+    level: Array
+    margin: Array
+    offset: Array
+    touched: Array
+    base: Array
+
+
+def find_supporters(
+    scene: SearchScene, geometry: Geometry, candidates: Candidates, rest: Array
+) -> Supporters:
+    """Who would carry the current object at each candidate.
+
+    Args:
+      scene: with owners.
+      rest: f32[N], from `lower_onto`, metres.
+    """
+    support_graph = scene.episode.support_graph
+    under = scene.under
+    heights = scene.heights
+    touches = touching(under, heights, candidates, rest)
+    owner = heights.owner_at(cells_under(under, heights, candidates))
+    is_by_object = touches & (owner < geometry.num_objects)
+    place = jnp.where(is_by_object, owner, geometry.num_objects)
+    # By object from here on: there are far more columns.
+    touched = _found_among(place, geometry.num_objects + 1)
+
+    def most(of_objects: Array, of_support: float) -> Array:
+        """f32[N]: the largest value among those that carry it."""
+        return jnp.max(jnp.where(touched, jnp.append(of_objects, of_support), -jnp.inf), axis=1)
+
+    # The lowest margin decides, so their negatives are compared.
+    margin = -most(-jnp.minimum(support_graph.margin, _SAFE), -_SAFE)
+    center = from_pose(scene.episode.poses).apply(geometry.center_of_mass)[:, :2]
+    distance = jnp.linalg.norm(_in_world(scene, candidates)[:, None] - center, axis=-1)
+    beyond = jnp.append(distance - support_graph.margin, jnp.full((len(rest), 1), -_SAFE), axis=1)
+    offset = jnp.max(jnp.where(touched, beyond, -jnp.inf), axis=1)
+    return Supporters(
+        is_on=jnp.any(touched[:, :-1], axis=1),
+        level=most(support_graph.level + 1.0, 0.0),
+        margin=margin,
+        offset=jnp.clip(offset, -_SAFE, _SAFE),
+        touched=touched[:, :-1],
+        base=base_share(under, touches),
+    )
+
+
+def _found_among(place: Array, number: int) -> Array:
+    """bool[N, number]: which of the whole numbers from 0 on are among i32[N, C]."""
+    words = []
+    for word in range(-(-number // _BITS)):
+        bit = jnp.uint32(1) << (place % _BITS).astype(jnp.uint32)
+        bit = jnp.where(place // _BITS == word, bit, 0)
+        words.append(jax.lax.reduce(bit, jnp.uint32(0), jax.lax.bitwise_or, (1,)))
+    bits = jnp.stack(words, axis=1)[:, :, None] >> jnp.arange(_BITS, dtype=jnp.uint32) & 1
+    return bits.reshape(len(place), -1)[:, :number].astype(bool)
+
+
+def _in_world(scene: SearchScene, candidates: Candidates) -> Array:
+    """f32[N, 2]: the centres of mass at the candidates, world x and y."""
+    T_world_region = scene.episode.region.T_world_region
+    turn = T_world_region.rotation().as_matrix()[:2, :2]
+    cos = jnp.cos(candidates.yaw)
+    sin = jnp.sin(candidates.yaw)
+    x, y = scene.under.center_of_mass
+    local = candidates.xy + jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=1)
+    return local @ turn.T + T_world_region.translation()[:2]
+
 
 _EARLY = 0.5
 """The share of the objects that are left among which counted features are sought."""
@@ -66,7 +158,7 @@ class Placing(struct.PyTreeNode):
           focus: i32, the current object; quaternion: its orientation (`Body`).
           rest: f32[N], from `lower_onto`, metres.
         """
-        poses = safe_poses(episode.poses, episode.is_placed)
+        poses = episode.safe_poses
         hollows = geometry.hollows
         return Placing(
             episode=episode,
@@ -144,7 +236,8 @@ def _levels(at: Placing) -> Array:
 
 
 def _num_touching(at: Placing) -> Array:
-    return num_touching(at.episode.support_graph.leans_on, at.episode.is_placed).astype(jnp.float32)
+    episode = at.episode
+    return episode.support_graph.num_touching(episode.is_placed).astype(jnp.float32)
 
 
 def _num_contained(at: Placing) -> Array:
@@ -236,8 +329,3 @@ def remaining_and_added(clutter: Clutter, at: Placing) -> tuple[Array, Array]:
         remaining.append(missing / share)
         added.append(change)
     return jnp.stack(remaining), jnp.stack(added, axis=1)
-
-
-def safe_poses(poses: Array, is_placed: Array) -> Array:
-    """Poses of objects that are not placed may be anything."""
-    return jnp.where(is_placed[:, None], poses, jnp.eye(7, dtype=jnp.float32)[3])

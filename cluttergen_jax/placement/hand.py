@@ -1,10 +1,11 @@
-"""One scene as a person fills it: the current object, where it is held, what stands and what can be done."""
+"""One scene as a person fills it, by the rules that methods obey, and the seconds of work that count."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -15,17 +16,95 @@ import numpy as np
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.geometry import rotate_in_plane, yaw_quaternion
-from cluttergen_jax.placement.hand.types import Before, Check, Drop, Held, Lowered
 from cluttergen_jax.placement.heightmap import VOID, HeightMapper
 from cluttergen_jax.placement.problem import Setup
 from cluttergen_jax.placement.region import action_of_pose
-from cluttergen_jax.placement.rollout.replay import Attempt
+from cluttergen_jax.placement.replay import Attempt
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.scenes import SceneBatch, scene_of
-from cluttergen_jax.placement.search.fit import Candidates, lower_onto
-from cluttergen_jax.placement.search.search import CLEARANCE, under_side
-from cluttergen_jax.placement.types import Episode
+from cluttergen_jax.placement.search import CLEARANCE, Candidates, lower_onto, under_side
+from cluttergen_jax.placement.types import Episode, SupportGraph
 from cluttergen_jax.types import Array, Settling, Verdict
+
+_ON_TOP = 0.002
+
+
+@dataclass(frozen=True)
+class Held:
+    """Where the current object is held: a pose in the region frame, in which it is let go.
+
+    Attributes:
+      x, y, z: metres, of the object's origin; z above the support's top. yaw: radians, from the region's x.
+      is_lowered: it was lowered to first contact, and not moved since.
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    yaw: float = 0.0
+    is_lowered: bool = False
+
+
+@dataclass(frozen=True)
+class Lowered:
+    """How the current object touches what is below it.
+
+    Attributes:
+      lift: metres higher than on the bare top.
+      hanging: share of its under-side beyond the support's edge.
+    """
+
+    lift: float
+    hanging: float
+
+    @property
+    def is_on_top(self) -> bool:
+        """Whether it touches the support itself."""
+        return self.lift < _ON_TOP
+
+
+@dataclass(frozen=True, eq=False)
+class Drop:
+    """One attempt by hand, and what its verdict rests on.
+
+    Attributes:
+      attempt: as replays show one.
+      mover: the placed object that was moved the most for its limits; None if nothing else stands there.
+      shift, turn: metres and radians by which it was moved.
+      penetration: metres, the deepest overlap. margin: metres, the new object's support margin.
+    """
+
+    attempt: Attempt
+    mover: int | None
+    shift: float
+    turn: float
+    penetration: float
+    margin: float
+
+
+@dataclass(frozen=True)
+class Check:
+    """The last check of a filled scene.
+
+    Attributes:
+      verdict: STABLE, or why the scene does not stand.
+      mover: the object that moved the farthest; drift: how far, metres.
+    """
+
+    verdict: Verdict
+    mover: int
+    drift: float
+
+
+@dataclass(frozen=True, eq=False)
+class Before:
+    """What `HandScene.undo` goes back to."""
+
+    poses: Array
+    is_placed: Array
+    support_graph: SupportGraph
+    held: Held
+
 
 IDLE = 60.0
 """Seconds without any input after which nobody is taken to be at work."""
@@ -220,9 +299,8 @@ class HandScene:
         """
         self.touch()
         half = self.setup.problem.region.half_extents
-        x, y = (
-            float(np.clip(value, -side, side)) for value, side in zip((x, y), half, strict=True)
-        )
+        x = float(np.clip(x, -half[0], half[0]))
+        y = float(np.clip(y, -half[1], half[1]))
         self.held = Held(x, y, self._clear_height(), math.remainder(yaw, math.tau))
 
     def hold_at(self, position: np.ndarray, wxyz: np.ndarray) -> None:
@@ -280,7 +358,7 @@ class HandScene:
             self.hold(0.0, 0.0, 0.0)
         else:
             self._failure = verdict
-        return self._drop_report(before, transition, jax.device_get(settling), verdict)
+        return self._drop_report(before, transition, jax.device_get(settling))
 
     def undo(self) -> int:
         """Takes the object that was placed last back into the hand, and moves all others back; which it was.
@@ -378,31 +456,22 @@ class HandScene:
         tall = np.asarray(self._rules.geometry.half_extents)[:, 2]
         highest = np.max((self.poses[:, 2] - top + tall)[self.is_placed], initial=0.0)
         own = 0.0 if self.current is None else tall[self.current]
-        return min(float(highest + own + _CLEAR), float(self._rules.height_range(self._episode)))
+        most = float(self._rules.height_range(self._episode))
+        return min(float(highest + own + _CLEAR), most)
 
     def _half_height(self) -> float:
         return float(self._rules.geometry.half_extents[self.left[0], 2])
 
-    def _drop_report(
-        self, before: Episode, transition: Any, settling: Settling, verdict: Verdict
-    ) -> Drop:
+    def _drop_report(self, before: Episode, transition: Any, settling: Settling) -> Drop:
         focus = int(transition.object_index)
         is_placed = np.asarray(before.is_placed)
         config = self._rules.physics.config
         moved = np.maximum(settling.shift / config.max_shift, settling.turn / config.max_turn)
-        mover = int(np.argmax(np.where(is_placed, moved, -1.0))) if is_placed.any() else None
-        attempt = Attempt(
-            object_index=focus,
-            ordinal=int(transition.ordinal),
-            action=np.asarray(transition.action),
-            verdict=verdict,
-            trajectory=np.asarray(settling.trajectory)[: int(settling.num_steps) + 1],
-            poses=np.asarray(before.poses),
-            is_placed=is_placed,
-            settled=np.asarray(settling.poses),
-        )
+        mover = None
+        if is_placed.any():
+            mover = int(np.argmax(np.where(is_placed, moved, -1.0)))
         return Drop(
-            attempt=attempt,
+            attempt=Attempt.of(before, transition, settling),
             mover=mover,
             shift=0.0 if mover is None else float(settling.shift[mover]),
             turn=0.0 if mover is None else float(settling.turn[mover]),

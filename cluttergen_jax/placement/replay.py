@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -36,6 +37,23 @@ class Attempt:
     is_placed: np.ndarray
     settled: np.ndarray
     proposals: np.ndarray | None = None
+
+    @staticmethod
+    def of(
+        before: Any, transition: Any, settling: Any, proposals: np.ndarray | None = None
+    ) -> Attempt:
+        """From the episode before an attempt, what came of it and how it settled (`placement.types`)."""
+        return Attempt(
+            object_index=int(transition.object_index),
+            ordinal=int(transition.ordinal),
+            action=np.asarray(transition.action),
+            verdict=Verdict(int(transition.verdict)),
+            trajectory=np.asarray(settling.trajectory)[: int(settling.num_steps) + 1],
+            poses=np.asarray(before.poses),
+            is_placed=np.asarray(before.is_placed),
+            settled=np.asarray(settling.poses),
+            proposals=proposals,
+        )
 
     @property
     def is_stable(self) -> bool:

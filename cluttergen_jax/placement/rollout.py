@@ -1,8 +1,13 @@
-"""Episodes run to their end: begin, step until all are over, finish. Ctrl-C ends it between steps."""
+"""Episodes run to their end: begin, step until all are over, finish. Ctrl-C ends it between steps.
+
+A `EpisodeRecorder` makes single ones once more, every attempt kept: the same keys make the same scene.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from typing import Any, ClassVar, TypeVar
 
 import jax
@@ -10,14 +15,17 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from cluttergen_jax.numerics import compiler_options, new_key
+from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.numerics import compiler_options, new_key, with_own_settings
 from cluttergen_jax.physics.host import HostPhysics
-from cluttergen_jax.placement.region import KeepOut
+from cluttergen_jax.placement.region import KeepOut, Region
+from cluttergen_jax.placement.replay import Attempt, Replay
 from cluttergen_jax.placement.rules import Proposer, Rules
 from cluttergen_jax.placement.scenes import BLOCK_SIZE, SceneBatch, scene_of
-from cluttergen_jax.placement.types import Episode, Start, Transition
-from cluttergen_jax.progress import Progress, interruptible
-from cluttergen_jax.types import Array
+from cluttergen_jax.placement.types import Episode, Start, Transition, choose
+from cluttergen_jax.placement.world import World
+from cluttergen_jax.progress import Progress, interruptible, track
+from cluttergen_jax.types import Array, Verdict
 
 T = TypeVar("T")
 
@@ -48,7 +56,7 @@ class BlockSampler(struct.PyTreeNode, eq=False):
     """Episodes side by side until the last one is over; those that are over cost no physics.
 
     `sample` is the whole as one function to compile; `begin`, `step` and `finish` are its pieces, for drivers
-    that do something between steps (`placement.rollout.run.Rollout`).
+    that do something between steps (`placement.rollout.Rollout`).
 
     Attributes:
       rules: the decision process.
@@ -73,9 +81,8 @@ class BlockSampler(struct.PyTreeNode, eq=False):
     def begin(self, key: Array, indices: Array, is_wanted: Array) -> Episode:
         """Episodes for scene indices i32[N]; those not wanted (bool[N]) are over before they start."""
         keys = jax.vmap(lambda index: jax.random.fold_in(key, index))(indices)
-        episodes = jax.vmap(lambda key: self.rules.begin(key, None, self.keep_out, self.start))(
-            keys
-        )
+        begin = partial(self.rules.begin, keep_out=self.keep_out, start=self.start)
+        episodes = jax.vmap(begin)(keys)
         return episodes.replace(is_over=~is_wanted)
 
     def step(self, episodes: Episode) -> tuple[Episode, Transition]:
@@ -157,7 +164,7 @@ class Rollout:
         def refill(
             sampler: BlockSampler, key: Array, episodes: Episode, indices: Array, is_new: Array
         ) -> Episode:
-            return _where_new(is_new, sampler.begin(key, indices, is_new), episodes)
+            return jax.vmap(choose)(is_new, sampler.begin(key, indices, is_new), episodes)
 
         def conclude(
             sampler: BlockSampler,
@@ -178,14 +185,17 @@ class Rollout:
             after, transition = jax.vmap(sampler.finish_pile)(before, asking, piling)
             return after, after.is_over, look(before, after, transition)
 
+        self._programs: list[Any] = []
+
         def program(function: Callable[..., Any], donated: tuple[int, ...] = ()) -> Any:
-            static = (0,) if is_constant else ()
-            return jax.jit(
+            made = jax.jit(
                 function,
-                static_argnums=static,
+                static_argnums=(0,) if is_constant else (),
                 donate_argnums=donated,
                 compiler_options=compiler_options(),
             )
+            self._programs.append(made)
+            return made
 
         self._ask = program(ask)
         self._finish_piles = program(finish_piles)
@@ -211,13 +221,12 @@ class Rollout:
           is_refilled: more scenes than places will be asked for.
         """
         if self.num_programs >= MAX_PROGRAMS:
-            pieces = (self._step, self._propose, self._judge, self._conclude, self._refill)
-            for function in (self._begin, *pieces, self._ask, self._finish_piles, self._finish):
-                function.clear_cache()
-        episodes = interruptible(self._begin, sampler, key, indices, np.zeros(len(indices), bool))
+            for each in self._programs:
+                each.clear_cache()
+        nothing = np.zeros(len(indices), bool)
+        episodes = interruptible(self._begin, sampler, key, indices, nothing)
         episodes, *_ = interruptible(self._step_all, sampler, episodes)
         if is_refilled:
-            nothing = np.zeros(len(indices), bool)
             episodes = interruptible(self._refill, sampler, key, episodes, indices, nothing)
         jax.block_until_ready(interruptible(self._finish, sampler, episodes))
 
@@ -234,9 +243,8 @@ class Rollout:
             is_left = ~np.asarray(episodes.is_over)
             is_due = is_left & (np.cumsum(is_left) <= WHOLE_AT_ONCE)
             asking, *asked = self._ask(sampler, episodes, is_due)
-            return self._finish_piles(
-                sampler, episodes, asking, physics.pile_batch(*map(np.asarray, asked))
-            )
+            piling = physics.pile_batch(*map(np.asarray, asked))
+            return self._finish_piles(sampler, episodes, asking, piling)
         episodes, action, *asked = self._propose(sampler, episodes)
         settling = physics.settle_batch(*map(np.asarray, asked))
         after, transition, is_filled = self._judge(sampler, episodes, action, settling)
@@ -305,13 +313,14 @@ class Rollout:
             on_step(indices, int((is_over & ~was_over).sum()), seen)
             was_over = is_over
             is_done = is_over & is_held
-            if not is_done.any() or (is_done.sum() < REFILL * width and (is_held & ~is_done).any()):
+            is_few = is_done.sum() < REFILL * width and (is_held & ~is_done).any()
+            if is_few or not is_done.any():
                 continue
             rows = np.flatnonzero(is_done)
             scenes = interruptible(self._finish_to_host, sampler, episodes)
             parts.append(jax.tree.map(lambda leaf, rows=rows: leaf[rows], scenes))
             order.append(indices[rows])
-            rows = rows[: num_scenes - following] if following < num_scenes else rows[:0]
+            rows = rows[: max(num_scenes - following, 0)]
             is_new = np.isin(np.arange(width), rows)
             is_held = is_held & ~is_done | is_new
             if len(rows):
@@ -348,19 +357,10 @@ def _by_parts(
     return jax.tree.map(lambda leaf: leaf.reshape(number, *leaf.shape[2:]), found)
 
 
-def _where_new(is_new: Array, new: Episode, old: Episode) -> Episode:
-    """Episode by episode, the new one or the old one."""
-    return jax.vmap(
-        lambda new_one, *both: jax.tree.map(lambda a, b: jnp.where(new_one, a, b), *both)
-    )(is_new, new, old)
-
-
 def blocks_of(num_scenes: int) -> list[tuple[int, int]]:
     """(block number, scenes in it) for scenes 0 to num_scenes - 1."""
-    return [
-        (block, min(BLOCK_SIZE, num_scenes - block * BLOCK_SIZE))
-        for block in range(-(-num_scenes // BLOCK_SIZE))
-    ]
+    firsts = range(0, num_scenes, BLOCK_SIZE)
+    return [(first // BLOCK_SIZE, min(BLOCK_SIZE, num_scenes - first)) for first in firsts]
 
 
 def sample_blocks(
@@ -398,3 +398,118 @@ def sample_block(
     indices = block * BLOCK_SIZE + place
     scenes = rollout.run(sampler, new_key(seed), indices, place < rows, on_step)
     return indices[:rows], jax.tree.map(lambda array: array[:rows], scenes)
+
+
+_AT_ONCE = 32
+"""Proposals drawn side by side: a method that lowers candidates needs megabytes for each."""
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeRecorder:
+    """Records single episodes of a sampler; compiled at the first, quick from then on.
+
+    Attributes:
+      sampler: whose episodes.
+      world: what its rules are about.
+      width: the block's width. A network's sums differ by width, so scenes of a bank are made again at the
+        width that made them; for scenes that nobody made before, 1 is the quickest.
+      is_constant: see `Rollout`; as the scenes were made.
+      rollouts: what is compiled, to be shared by recorders of samplers of equal sizes that are not constant.
+    """
+
+    sampler: BlockSampler
+    world: World
+    width: int = BLOCK_SIZE
+    is_constant: bool = True
+    rollouts: dict[Look, Rollout] = field(default_factory=dict)
+
+    @with_own_settings
+    def record(self, seed: int, index: int, title: str = "", num_proposals: int = 0) -> Replay:
+        """Scene number `index` of `seed`, as `placement.rollout.sample_blocks` makes it.
+
+        Args:
+          num_proposals: actions that are drawn anew at every attempt, to see how they are distributed.
+        """
+        row = index % self.width
+        places = index - row + np.arange(self.width)
+        steps: list[tuple[Any, Any, Any]] = []
+        look = _all_parts if num_proposals else _picture_parts
+        self.rollouts.setdefault(look, Rollout(look, self.is_constant)).run(
+            self.sampler,
+            new_key(seed),
+            places,
+            np.arange(self.width) == row,
+            lambda _, seen: steps.append(jax.tree.map(lambda leaf: leaf[row], seen)),
+        )
+        after = steps[-1][1]
+        # Hundreds of proposals for each attempt take seconds.
+        shown = track(steps, "proposals", len(steps), "attempt") if num_proposals else steps
+        attempts = []
+        # A pile has no attempts that could be shown one after another.
+        for before, _, transition in () if self.sampler.is_whole else shown:
+            proposals = self._proposals(before, seed, num_proposals)
+            attempts.append(Attempt.of(before, transition, transition.settling, proposals))
+        return Replay(
+            title=title or f"seed {seed}, scene {index}",
+            objects=self.world.objects,
+            names=self.world.names,
+            support=self.world.support,
+            region=rectangle_of(after.region),
+            attempts=tuple(attempts),
+            poses=after.poses,
+            is_placed=after.is_placed,
+            is_success=bool(after.is_success),
+            verdict=Verdict(int(after.verdict)).label,
+            drift=float(after.drift),
+            keep_out=_keep_out_boxes(after),
+            timestep=self.sampler.rules.physics.config.timestep,
+        )
+
+    def _proposals(self, before: Any, seed: int, number: int) -> np.ndarray | None:
+        """f32[number, 4] drawn for an episode; None for none."""
+        if not number:
+            return None
+        keys = jax.random.split(new_key(seed), number)
+        return np.asarray(self._draw(keys, before))
+
+    @cached_property
+    def _draw(self) -> Any:
+        propose = self.sampler.propose
+
+        def draw(keys: Any, episode: Any) -> Any:
+            return jax.lax.map(lambda key: propose(key, episode), keys, batch_size=_AT_ONCE)
+
+        return jax.jit(draw)
+
+
+def _all_parts(
+    before: Episode, after: Episode, transition: Transition
+) -> tuple[Any, Any, Transition]:
+    """Whole steps, but for keys."""
+    return before.replace(key=None), after.replace(key=None, history=None), transition
+
+
+def _picture_parts(
+    before: Episode, after: Episode, transition: Transition
+) -> tuple[Any, Any, Transition]:
+    """Whole steps, but for what pictures do not show."""
+    return before.replace(key=None, history=None), after.replace(key=None, history=None), transition
+
+
+def rectangle_of(region: Region) -> Rectangle:
+    """A queried region as a rectangle on the support's top, on the host."""
+    pose = np.asarray(region.T_world_region.wxyz_xyz, np.float64)
+    half = np.asarray(region.half_extents, np.float64)
+    return _rectangle(pose[4:6], half, 2.0 * float(np.arctan2(pose[3], pose[0])))
+
+
+def _rectangle(center: np.ndarray, half: np.ndarray, yaw: float) -> Rectangle:
+    return Rectangle(
+        (float(center[0]), float(center[1])), (float(half[0]), float(half[1])), float(yaw)
+    )
+
+
+def _keep_out_boxes(episode: Any) -> tuple[Rectangle, ...]:
+    keep_out = episode.keep_out
+    boxes = zip(keep_out.center, keep_out.half_extents, keep_out.yaw, strict=True)
+    return tuple(_rectangle(*box) for box in boxes)

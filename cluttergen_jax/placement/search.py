@@ -1,38 +1,220 @@
-"""Many random poses looked at coarsely, the best of them closely."""
+"""Where an object could go, by geometry alone: lowered vertically to first contact at many random poses.
+
+All are looked at coarsely, with some of the object's columns, the best of them closely.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
 import jaxlie
+import numpy as np
 from flax import struct
 
-from cluttergen_jax.placement.heightmap import HeightMap, HeightMapper
+from cluttergen_jax.placement.heightmap import (
+    VOID,
+    HeightMap,
+    HeightMapper,
+    most_beyond,
+    on_map,
+    share_beyond,
+)
 from cluttergen_jax.placement.region import Region, action_of_pose, is_inside, is_kept_out, to_pose
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.search.fit import (
-    Candidates,
-    LoweredFit,
-    UnderSide,
-    lower_onto,
-    mean_under,
-    support_share,
-)
-from cluttergen_jax.placement.support_map import most_beyond, on_map, share_beyond
-from cluttergen_jax.placement.types import Body, Episode
+from cluttergen_jax.placement.types import Body, Episode, Geometry, Orientations, look_up, take
 from cluttergen_jax.types import Array
+
+_CONTACT_GAP = 0.0015
+_BASE = 0.003
+_BARE = 0.003
+_DEEP = -0.03
+_DIRECTIONS = 12
 
 CLEARANCE = 0.001
 """Metres above its rest at which an object is released."""
-
 FORBIDDEN = 1e6
 """Added to the cost of poses that would not count."""
-
 _EDGE = 0.002
-_BARE = 0.003
 _WINDOW_DOUBLINGS = 3
+
+
+class Candidates(struct.PyTreeNode):
+    """Positions and turns in the region frame. N candidates.
+
+    Attributes:
+      xy: f32[N, 2], metres; yaw: f32[N], radians.
+    """
+
+    xy: Array
+    yaw: Array
+
+    def take(self, index: Array) -> Candidates:
+        """The candidates at `index`, i32[M]."""
+        return take(self, index)
+
+    def turned(self, xy: Array) -> tuple[Array, Array]:
+        """f32[N, C] each: x and y of an object's points f32[C, 2], turned as at each candidate, metres."""
+        cos = jnp.cos(self.yaw)[:, None]
+        sin = jnp.sin(self.yaw)[:, None]
+        return cos * xy[:, 0] - sin * xy[:, 1], sin * xy[:, 0] + cos * xy[:, 1]
+
+
+class UnderSide(struct.PyTreeNode):
+    """What of an object can touch what lies below: a sample of its columns, object frame, metres.
+
+    Attributes:
+      xy: f32[C, 2]; bottom: f32[C]; is_column: bool[C].
+      center_of_mass: f32[2].
+      lean: f32[2], of the region frame: how far the centre of mass is from there, down the slope, where a
+        plumb line through it meets the base; None on a level surface.
+    """
+
+    xy: Array
+    bottom: Array
+    is_column: Array
+    center_of_mass: Array
+    lean: Array | None = None
+
+    @property
+    def lowest(self) -> Array:
+        """f32: the bottom of the lowest column."""
+        return jnp.min(jnp.where(self.is_column, self.bottom, jnp.inf))
+
+    @property
+    def is_base(self) -> Array:
+        """bool[C]: the base, the lowest of the columns."""
+        return self.is_column & (self.bottom < self.lowest + _BASE)
+
+    def first(self, number: int) -> UnderSide:
+        """A coarser sample."""
+        return self.replace(
+            xy=self.xy[:number], bottom=self.bottom[:number], is_column=self.is_column[:number]
+        )
+
+
+class LoweredFit(struct.PyTreeNode):
+    """How N candidates would lie.
+
+    Attributes:
+      rest: f32[N], height of the object's origin above the top when it first touches something, metres.
+      blocked: f32[N], share of its columns over other objects.
+      hanging: f32[N], share of its columns over nothing at all.
+      gap: f32[N], mean distance from its base, the lowest of its columns, down to what lies below, metres.
+      room: f32[N], the lowest height over its columns at which the support hangs over it; None where it does
+        nowhere.
+    """
+
+    rest: Array
+    blocked: Array
+    hanging: Array
+    gap: Array
+    room: Array | None = None
+
+
+def lower_onto(under: UnderSide, heights: HeightMap, candidates: Candidates) -> LoweredFit:
+    """Lowers an object vertically to first contact with a height map, at each candidate."""
+    cells = cells_under(under, heights, candidates)
+    below = heights.at(cells)
+    is_column = under.is_column
+    lowest = under.lowest
+    is_base = is_column & (under.bottom < lowest + _BASE)
+    rest, blocked, hanging, base = _reduce(
+        (jnp.where(is_column, below - under.bottom, VOID), jnp.maximum, VOID),
+        (((below > _BARE) & is_column).astype(jnp.float32), jnp.add, 0.0),
+        (((below <= VOID) & is_column).astype(jnp.float32), jnp.add, 0.0),
+        (jnp.where(is_base, jnp.maximum(below, _DEEP), 0.0), jnp.add, 0.0),
+    )
+    total = jnp.maximum(is_column.sum(), 1)
+    gap = rest + lowest - base / jnp.maximum(is_base.sum(), 1)
+    room = None
+    if heights.ceiling is not None:
+        above = look_up(heights.ceiling, cells)
+        room = jnp.min(jnp.where(is_column, above, jnp.inf), axis=1)
+    return LoweredFit(rest, blocked / total, hanging / total, gap, room)
+
+
+def mean_under(under: UnderSide, field: HeightMap, candidates: Candidates) -> Array:
+    """f32[N]: the mean of any map over the object's columns at each candidate."""
+    values = jnp.where(under.is_column, field.at(cells_under(under, field, candidates)), 0.0)
+    return values.sum(1) / jnp.maximum(under.is_column.sum(), 1)
+
+
+def support_share(
+    under: UnderSide, heights: HeightMap, candidates: Candidates, rest: Array
+) -> Array:
+    """f32[N]: how far inside what carries it the centre of mass is, over the same on flat ground.
+
+    1 is as good as the bare top; below 0 it tips. Distances are the smallest over some directions.
+
+    Args:
+      rest: f32[N], from `lower_onto`.
+    """
+    touches = touching(under, heights, candidates, rest)
+    on_ground = (under.bottom < under.lowest + _CONTACT_GAP) & under.is_column
+    yaw = None if under.lean is None else candidates.yaw
+    return _margin(under, touches, yaw) / jnp.maximum(_margin(under, on_ground[None]), 1e-3)
+
+
+def touching(under: UnderSide, heights: HeightMap, candidates: Candidates, rest: Array) -> Array:
+    """bool[N, C]: the columns that would touch what lies below, at the heights `rest`, f32[N]."""
+    below = heights.at(cells_under(under, heights, candidates))
+    return (rest[:, None] + under.bottom - below < _CONTACT_GAP) & under.is_column
+
+
+def base_share(under: UnderSide, touches: Array) -> Array:
+    """f32[N]: the share of the base, the lowest of the columns, that touches; bool[N, C] from `touching`."""
+    is_base = under.is_base
+    return jnp.sum(touches & is_base, axis=1) / jnp.maximum(is_base.sum(), 1)
+
+
+def _margin(under: UnderSide, touches: Array, yaw: Array | None = None) -> Array:
+    """f32[N], metres: how far the centre of mass is inside the columns that touch, bool[N, C].
+
+    Args:
+      yaw: f32[N], of the candidates, where it leans down a slope.
+    """
+    angles = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+    offset = under.xy - under.center_of_mass
+    reach = [np.cos(angle) * offset[:, 0] + np.sin(angle) * offset[:, 1] for angle in angles]
+    farthest = _reduce(*((jnp.where(touches, one, -1.0), jnp.maximum, -1.0) for one in reach))
+    if yaw is not None and under.lean is not None:
+        cos = jnp.cos(yaw)
+        sin = jnp.sin(yaw)
+        x = cos * under.lean[0] + sin * under.lean[1]
+        y = cos * under.lean[1] - sin * under.lean[0]
+        farthest = tuple(
+            each - (np.cos(angle) * x + np.sin(angle) * y)
+            for each, angle in zip(farthest, angles, strict=True)
+        )
+    return jnp.min(jnp.stack(farthest), axis=0)
+
+
+def _reduce(*terms: tuple[Array, Callable[[Array, Array], Array], float]) -> tuple[Array, ...]:
+    """Reduces several arrays along their last axis in one pass.
+
+    Reduced one by one, each would look up the height map again: on a CPU that is most of the cost.
+
+    Args:
+      terms: f32[N, C], the function that joins two entries, and its neutral element.
+    """
+    joins = [join for _, join, _ in terms]
+    return jax.lax.reduce(
+        tuple(array for array, _, _ in terms),
+        tuple(jnp.float32(start) for _, _, start in terms),
+        lambda left, right: tuple(
+            join(a, b) for join, a, b in zip(joins, left, right, strict=True)
+        ),
+        (1,),
+    )
+
+
+def cells_under(under: UnderSide, heights: HeightMap, candidates: Candidates) -> Array:
+    """i32[N, C]: the cell under each column at each candidate."""
+    x, y = candidates.turned(under.xy)
+    return heights.index_of(x + candidates.xy[:, 0, None], y + candidates.xy[:, 1, None])
 
 
 @dataclass(frozen=True)
@@ -119,9 +301,8 @@ class Search(struct.PyTreeNode, eq=False):
     def __post_init__(self) -> None:
         if self.mapper is None:
             rules = self.rules
-            object.__setattr__(
-                self, "mapper", HeightMapper.of(rules.geometry, rules.region, rules.map_radius)
-            )
+            mapper = HeightMapper.of(rules.geometry, rules.region, rules.map_radius)
+            object.__setattr__(self, "mapper", mapper)
 
     def cost(self, scores: CandidateScores) -> Array:
         """f32[N]: what to keep low. Among equals the first is taken, which is a random one."""
@@ -201,11 +382,7 @@ class Search(struct.PyTreeNode, eq=False):
         support_map = self.rules.support_map_of(scene.episode) or self.rules.support_map
         assert support_map is not None
         under = scene.under
-        cos = jnp.cos(candidates.yaw)[:, None]
-        sin = jnp.sin(candidates.yaw)[:, None]
-        x = under.xy[:, 0]
-        y = under.xy[:, 1]
-        xy = jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=-1) + candidates.xy[:, None]
+        xy = jnp.stack(candidates.turned(under.xy), axis=-1) + candidates.xy[:, None]
         T_map_region = support_map.place(scene.episode.region.T_world_region)
         turn = T_map_region.rotation().as_matrix()[:2, :2]
         shift = T_map_region.translation()[:2]
@@ -217,32 +394,29 @@ class Search(struct.PyTreeNode, eq=False):
         episode = scene.episode
         half = self.rules.geometry.half_extents[scene.focus]
         containment = self.rules.config.containment
-        if (
-            containment == "center"
-            and not episode.keep_out.yaw.shape[0]
-            and self.rules.polygon is None
-        ):
+        is_bounded = episode.keep_out.yaw.shape[0] or self.rules.polygon is not None
+        if containment == "center" and not is_bounded:
             return jnp.ones_like(candidates.yaw, bool)
 
         def is_allowed(xy: Array, yaw: Array) -> Array:
             rotation = jaxlie.SO3.from_z_radians(yaw)
             if scene.body.quaternion is not None:
                 rotation = rotation @ jaxlie.SO3(scene.body.quaternion)
-            T_region_object = jaxlie.SE3.from_rotation_and_translation(
-                rotation, jnp.append(xy, 0.0)
-            )
+            position = jnp.append(xy, 0.0)
+            T_region_object = jaxlie.SE3.from_rotation_and_translation(rotation, position)
             pose = to_pose(episode.region.T_world_region @ T_region_object)
             is_kept_in = is_inside(pose, half, episode.region, containment)
             placed = on_map(self.rules.support_map_of(episode), pose)
-            is_kept_in &= self.rules.acceptance.is_in_polygon(placed, half)
+            is_kept_in &= self.rules.is_in_polygon(placed, half)
             return is_kept_in & ~is_kept_out(placed, half, episode.keep_out)
 
         return jax.vmap(is_allowed)(candidates.xy, candidates.yaw)
 
 
-def under_side(body: Body) -> UnderSide:
-    """The under-side of an object as it is released."""
-    return UnderSide(body.column_xy, body.column_bottom, body.is_column, body.center_of_mass[:2])
+def under_side(body: Body | Geometry | Orientations) -> UnderSide:
+    """The under-side of an object as it is released, or those of several: leading axes as they are."""
+    center = body.center_of_mass[..., :2]
+    return UnderSide(body.column_xy, body.column_bottom, body.is_column, center)
 
 
 def _lean(body: Body, region: Region) -> Array:
@@ -254,9 +428,8 @@ def _lean(body: Body, region: Region) -> Array:
 def draw_candidates(key: Array, region: Region, number: int) -> Candidates:
     """Uniform over one turn and over the region, but for 2 mm along its sides."""
     key_xy, key_yaw = jax.random.split(key)
-    xy = jax.random.uniform(key_xy, (number, 2), minval=-1.0) * jnp.maximum(
-        region.half_extents - _EDGE, 0.0
-    )
+    reach = jnp.maximum(region.half_extents - _EDGE, 0.0)
+    xy = jax.random.uniform(key_xy, (number, 2), minval=-1.0) * reach
     return Candidates(xy, jax.random.uniform(key_yaw, (number,), maxval=2 * jnp.pi))
 
 
@@ -264,7 +437,8 @@ def crowding(heights: HeightMap) -> HeightMap:
     """How much of the 8 x 8 cells around each cell is not bare top, 0 to 1; nothing beyond the map."""
     taken = (jnp.abs(heights.height) > _BARE).astype(jnp.float32)
     for axis in (0, 1):
-        for step in (2**power for power in range(_WINDOW_DOUBLINGS)):
+        for power in range(_WINDOW_DOUBLINGS):
+            step = 2**power
             sides = [(0, 0), (0, 0)]
             sides[axis] = ((step + 1) // 2, step // 2)
             padded = jnp.pad(taken, sides)

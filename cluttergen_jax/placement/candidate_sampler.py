@@ -1,28 +1,48 @@
-"""Placers that draw uniformly among the candidate poses that are trusted to stand."""
+"""Placers that draw among the candidate poses that are trusted to stand.
+
+The draw is uniform, or tilted as little as it takes for the clutter that is asked for (maximum entropy).
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
-from cluttergen_jax.placement.boxes import footprint_area
-from cluttergen_jax.placement.related import carriers_of
+from cluttergen_jax.placement.boxes import Boxes, footprint_area
+from cluttergen_jax.placement.containers import openings_of
+from cluttergen_jax.placement.features import (
+    Placing,
+    Supporters,
+    find_supporters,
+    proposed_boxes,
+    remaining_and_added,
+)
+from cluttergen_jax.placement.related import (
+    ALIGNED,
+    CONE,
+    DIRECTIONS,
+    IN,
+    ON,
+    RelatedObjects,
+    allowed_at,
+    carriers_of,
+    heading_of,
+    leaves_room,
+)
+from cluttergen_jax.placement.relations import KINDS
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.search.entropy_tilt import shortfall, tilt_logits
-from cluttergen_jax.placement.search.features import Placing, remaining_and_added, safe_poses
-from cluttergen_jax.placement.search.fit import Candidates
-from cluttergen_jax.placement.search.related_candidates import is_related, related_candidates
-from cluttergen_jax.placement.search.search import (
+from cluttergen_jax.placement.search import (
     FORBIDDEN,
+    Candidates,
     Search,
     SearchScene,
     TopCandidates,
     draw_candidates,
 )
-from cluttergen_jax.placement.search.support_graph import Supporters, find_supporters
 from cluttergen_jax.placement.types import Episode, Geometry
 from cluttergen_jax.types import Array
 
@@ -43,6 +63,17 @@ _BASE_POWER = 1.0
 _LEAST_BASE = 0.02
 _HIGHEST_COST = 10.0
 
+_SPREAD = 0.09
+"""Radians by which what is to be aligned is turned from it at most: half of what is allowed."""
+_WITHIN = {"on": 0.9, "in": 0.5}
+"""Of half the diagonal of a box: over so much of it things are tried that lie on it or in it."""
+
+# Of the tilt: Newton steps, the penalty on a slope, the steepest, and shares of a step that are tried.
+_STEPS = 12
+_RIDGE = 1e-3
+_STEEPEST = 12.0
+_DAMPING = (1.0, 0.5, 0.25, 0.06)
+
 
 @dataclass(frozen=True)
 class CandidateConfig:
@@ -51,7 +82,6 @@ class CandidateConfig:
     Attributes:
       num_uniform: uniform over region and turn.
       num_finalists: the cheapest of many by the search's cost (`SearchConfig.num_candidates`).
-      num_above: over a placed object drawn for each.
       thresholds: the trust asked for at an object's first attempt, its second, and so on; the last one holds
         for all further ones. Where no candidate has it, the most trusted one is taken.
       least_trust: the trust asked for where a candidate with no more comes nearer to what `Clutter` asks.
@@ -59,7 +89,6 @@ class CandidateConfig:
 
     num_uniform: int = 80
     num_finalists: int = 16
-    num_above: int = 0
     thresholds: tuple[float, ...] = (0.9, 0.8, 0.6)
     least_trust: float = 0.3
 
@@ -136,38 +165,33 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
             logits = natural_logits(rules.geometry, focus, candidates.supporters)
         if rules.config.clutter is None:
             return logits, asked
-        rest = found.scores.fit.rest
-        quaternion = rules.body(episode).quaternion
         at = Placing.of(
             episode,
             rules.geometry,
             focus,
-            quaternion,
+            rules.body(episode).quaternion,
             found.candidates,
-            rest,
+            found.scores.fit.rest,
             candidates.supporters,
         )
         remaining, added = remaining_and_added(rules.config.clutter, at)
         least = self.config.least_trust
-        missed, missed_by_all = (
-            shortfall(remaining, added, trust >= level) for level in (asked, least)
-        )
-        is_nearer = missed_by_all < missed - _CLOSER
+        missed = shortfall(remaining, added, trust >= asked)
+        is_nearer = shortfall(remaining, added, trust >= least) < missed - _CLOSER
         asked = jnp.where(jnp.any(is_nearer), jnp.minimum(asked, least), asked)
         return tilt_logits(logits, added, remaining, trust >= asked), asked
 
     @property
-    def num_above(self) -> int:
-        """Candidates over placed objects: more than the config's where objects are to lie on others."""
+    def _num_above(self) -> int:
+        """Candidates over placed objects, where objects are to lie on others."""
         asked = self.search.rules.config
-        if asked.clutter is None:
-            return self.config.num_above
-        most = max(
-            each or 0.0
-            for each in (asked.clutter.stack, asked.clutter.depth, asked.clutter.contacts)
-        )
-        number = _MANY_ABOVE if most > _MANY * asked.num_objects else _ABOVE if most else 0
-        return max(self.config.num_above, number)
+        clutter = asked.clutter
+        if clutter is None:
+            return 0
+        most = max(clutter.stack or 0.0, clutter.depth or 0.0, clutter.contacts or 0.0)
+        if most > _MANY * asked.num_objects:
+            return _MANY_ABOVE
+        return _ABOVE if most else 0
 
     @property
     def _num_inside(self) -> int:
@@ -185,8 +209,8 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         if number := _TIDY_FINALISTS if search.rules.config.tidy else config.num_finalists:
             many = draw_candidates(keys[1], episode.region, search.config.num_candidates)
             drawn.append(search.best(scene, many, number))
-        if self.num_above:
-            drawn.append(above_objects(keys[2], scene, search.rules, self.num_above))
+        if number := self._num_above:
+            drawn.append(above_objects(keys[2], scene, search.rules, number))
         if number := self._num_inside:
             drawn.append(inside_objects(jax.random.fold_in(key, 4), scene, search.rules, number))
         if (related := search.rules.related) is not None:
@@ -208,9 +232,13 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         supporters = find_supporters(scene, geometry, candidates, rest)
         is_allowed = found.cost < FORBIDDEN / 2
         if (related := search.rules.related) is not None:
-            assert episode.roles is not None
-            carriers = carriers_of(related, episode.roles, scene.focus, episode.is_placed)
-            is_allowed &= is_related(scene, related, geometry, candidates, rest)
+            half = geometry.half_extents
+            proposed = proposed_boxes(
+                episode.region, half[scene.focus], scene.body.quaternion, candidates, rest
+            )
+            is_allowed &= leaves_room(related, episode, scene.focus, candidates.xy, geometry)
+            is_allowed &= allowed_at(related, episode, scene.focus, proposed, geometry)
+            carriers = carriers_of(related, episode, scene.focus)
             is_allowed &= jnp.all(supporters.touched | ~carriers, axis=1)
         return CandidateSet(found=found, supporters=supporters, is_allowed=is_allowed)
 
@@ -222,9 +250,7 @@ def above_objects(key: Array, scene: SearchScene, rules: Rules, number: int) -> 
     """
     episode = scene.episode
     half = rules.geometry.half_extents
-    chance = jnp.where(
-        episode.is_placed, jnp.log(footprint_area(rules.geometry.half_extents)), -jnp.inf
-    )
+    chance = jnp.where(episode.is_placed, jnp.log(footprint_area(half)), -jnp.inf)
     # Boxes are turned about z and sometimes tipped: a square with the box's diagonal is near enough.
     reach = jnp.linalg.norm(half[:, :2], axis=1) / jnp.sqrt(2.0)
     return _over(key, scene, rules, (episode.poses[:, :3], reach, chance), number)
@@ -235,7 +261,7 @@ def inside_objects(key: Array, scene: SearchScene, rules: Rules, number: int) ->
     episode = scene.episode
     hollows = rules.geometry.hollows
     assert hollows is not None
-    openings = hollows.boxes(safe_poses(episode.poses, episode.is_placed))
+    openings = hollows.boxes(episode.safe_poses)
     chance = jnp.where(episode.is_placed & hollows.fits[scene.focus], 0.0, -jnp.inf)
     reach = jnp.linalg.norm(hollows.half_extents[:, :2], axis=1) / jnp.sqrt(2.0)
     # Round floors are flat in the middle alone.
@@ -256,7 +282,7 @@ def _over(
       num_central: so many of them are the nearer to the centre.
     """
     episode = scene.episode
-    (middle, reach, chance) = places
+    middle, reach, chance = places
     key_which, key_at, key_yaw = jax.random.split(key, 3)
     noise = jax.random.gumbel(key_which, (number, len(chance)))
     which = jnp.argmax(chance + noise, axis=1)
@@ -269,9 +295,8 @@ def _over(
         center += middle[which, 2:3] * turn[:2, 2]
     offset = jax.random.uniform(key_at, (number, 2), minval=-1.0)
     if num_central:
-        offset *= jnp.append(jnp.linspace(0.0, 1.0, num_central), jnp.ones(number - num_central))[
-            :, None
-        ]
+        share = jnp.append(jnp.linspace(0.0, 1.0, num_central), jnp.ones(number - num_central))
+        offset *= share[:, None]
     xy = center + reach[which, None] * offset
     xy = jnp.where(jnp.any(jnp.isfinite(chance)), xy, 0.0)
     limit = episode.region.half_extents
@@ -290,3 +315,134 @@ def natural_logits(geometry: Geometry, focus: Array, supporters: Supporters) -> 
     width = jnp.minimum(jnp.log(jnp.maximum(widest, 1e-8) / area[focus]), 0.0)
     base = jnp.log(jnp.clip(supporters.base, _LEAST_BASE, 1.0))
     return jnp.where(supporters.is_on, _AREA_POWER * width + _BASE_POWER * base, 0.0)
+
+
+def related_candidates(
+    key: Array, scene: SearchScene, related: RelatedObjects, geometry: Geometry, number: int
+) -> Candidates:
+    """Candidates around what the current object is related to, each for one relation; region frame.
+
+    They are uniform over the region where it has none with what is placed, and fit one relation, not all.
+    """
+    episode = scene.episode
+    region = episode.region
+    assert episode.roles is not None
+    key_which, key_xy, key_angle, key_far, key_yaw = jax.random.split(key, 5)
+    is_subject, is_reference, other, is_table = related.pairs(episode.roles, scene.focus)
+    is_mine = is_subject | is_reference
+    is_there = is_mine & episode.is_placed[other] & ~is_table
+    is_place = is_there & jnp.isin(related.kind, jnp.array(_PLACES))
+    which = jax.random.categorical(key_which, jnp.where(is_place, 0.0, -jnp.inf), shape=(number,))
+    kind = related.kind[which]
+    placed = Boxes.of(geometry.half_extents, episode.safe_poses)
+    openings = openings_of(geometry, episode.safe_poses)
+    T_region_world = region.T_world_region.inverse()
+
+    def of_other(boxes: Boxes) -> tuple[Array, Array]:
+        """f32[N, 2] the centre of the other object's box, f32[N, 3] its sides in plan, ascending."""
+        middle = jax.vmap(T_region_world.apply)(boxes.center)[other[which], :2]
+        plan = jnp.sort(jnp.linalg.norm(boxes.sides[..., :2], axis=-1), axis=-1)
+        return middle, plan[other[which]]
+
+    is_in = (kind == IN)[:, None]
+    opening_center, opening_plan = of_other(openings)
+    placed_center, placed_plan = of_other(placed)
+    center = jnp.where(is_in, opening_center, placed_center)
+    plan = jnp.where(is_in, opening_plan, placed_plan)
+    own = scene.body.half_extents[:2]
+    diagonal = jnp.linalg.norm(plan[:, 1:], axis=1)
+    unit = jax.random.uniform(key_xy, (number, 2), minval=-1.0)
+    # Beside it, in the direction of the relation, from touching to as far away as is allowed.
+    angle = jnp.array(_ANGLES)[kind] + jnp.where(is_subject[which], 0.0, jnp.pi)
+    angle += jnp.array(_CONES)[kind] * jax.random.uniform(key_angle, (number,), minval=-1.0)
+    nearest = plan[:, 1] + jnp.min(own)
+    farthest = diagonal + jnp.linalg.norm(own) + jnp.nan_to_num(related.gap[which])
+    far = nearest + (farthest - nearest) * jax.random.uniform(key_far, (number,))
+    beside = far[:, None] * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1)
+    over = unit * (jnp.array(_OVER)[kind] * diagonal / jnp.sqrt(2.0))[:, None]
+    is_over = (kind == ON) | (kind == IN)
+    xy = center + jnp.where(is_over[:, None], over, beside)
+    xy = jnp.where(jnp.any(is_place), xy, unit * region.half_extents)
+    is_aligned = is_mine & (related.kind == ALIGNED) & (episode.is_placed[other] | is_table)
+    first = jnp.argmax(is_aligned)
+    heading = heading_of(placed, T_region_world.rotation().as_matrix())[other[first]]
+    yaw = _aligned_yaws(key_yaw, scene, jnp.any(is_aligned), heading, is_table[first], number)
+    return Candidates(jnp.clip(xy, -region.half_extents, region.half_extents), yaw)
+
+
+_PLACES = [place for place, kind in enumerate(KINDS) if kind not in ("far_from", "aligned")]
+# By kind: radians, the direction in which the subject is, and to either side of it.
+_ANGLES = [math.atan2(y, x) for x, y in DIRECTIONS]
+_CONES = [CONE if any(direction) else math.pi for direction in DIRECTIONS]
+_OVER = [_WITHIN.get(kind, 0.0) for kind in KINDS]
+
+
+def _aligned_yaws(
+    key: Array,
+    scene: SearchScene,
+    is_asked: Array,
+    heading: Array,
+    is_table: Array,
+    number: int,
+) -> Array:
+    """f32[N]: turns along a heading, f32 radians, or the region's sides; any turn where none is asked for."""
+    key_turn, key_side, key_spread = jax.random.split(key, 3)
+    along = jnp.where(is_table, 0.0, heading)
+    half = scene.body.half_extents
+    along -= jnp.where(half[1] > half[0], jnp.pi / 2, 0.0)
+    period = jnp.where(is_table, jnp.pi / 2, jnp.pi)
+    aligned = along + period * jax.random.randint(key_side, (number,), 0, 4)
+    aligned += _SPREAD * jax.random.uniform(key_spread, (number,), minval=-1.0)
+    any_turn = jax.random.uniform(key_turn, (number,), maxval=2 * jnp.pi)
+    return jnp.where(is_asked, aligned, any_turn)
+
+
+def tilt_logits(logits: Array, values: Array, asked: Array, is_allowed: Array) -> Array:
+    """f32[N]: logits of weights w of those allowed, nearest to softmax(logits), with w . values = asked.
+
+    w is proportional to exp(logits + values . lambda), lambda the minimum of the convex
+    logsumexp(logits + values . lambda) - asked . lambda + 0.0005 |lambda|^2 by damped Newton steps, values in
+    units of their standard deviation. What is out of reach is met as nearly as |lambda| <= 12 can.
+
+    Args:
+      logits: f32[N], of the weights to stay near to; 0 for equal ones.
+      values: f32[N, F]; asked: f32[F].
+      is_allowed: bool[N]; if none is, the logits come back as they are.
+    """
+    any_allowed = jnp.any(is_allowed)
+    counts = is_allowed | ~any_allowed
+    base = jnp.where(counts, logits, -jnp.inf)
+    number = counts.sum()
+    mean = jnp.sum(jnp.where(counts[:, None], values, 0.0), axis=0) / number
+    offset = jnp.where(counts[:, None], values - mean, 0.0)
+    scale = jnp.sqrt(jnp.sum(offset**2, axis=0) / number)
+    unit = jnp.where(scale > 1e-6, scale, 1.0)
+    # A feature in which all are alike decides nothing, whatever is asked.
+    features = jnp.where(scale > 1e-6, offset / unit, 0.0)
+    target = jnp.where(scale > 1e-6, (asked - mean) / unit, 0.0)
+    target = jnp.clip(target, features.min(0), features.max(0))
+
+    def objective(slope: Array) -> Array:
+        fit = jax.nn.logsumexp(base + features @ slope) - target @ slope
+        return fit + _RIDGE / 2 * slope @ slope
+
+    def step(_: int, slope: Array) -> Array:
+        weight = jax.nn.softmax(base + features @ slope)
+        expected = weight @ features
+        gradient = expected - target + _RIDGE * slope
+        spread = features - expected
+        curvature = (spread * weight[:, None]).T @ spread + _RIDGE * jnp.eye(len(slope))
+        newton = jnp.linalg.solve(curvature, gradient)
+        tries = slope - jnp.array([*_DAMPING, 0.0])[:, None] * newton
+        tries = jnp.clip(tries, -_STEEPEST, _STEEPEST)
+        return tries[jnp.argmin(jax.vmap(objective)(tries))]
+
+    slope = jax.lax.fori_loop(0, _STEPS, step, jnp.zeros(values.shape[1]))
+    return jnp.where(any_allowed, logits + features @ slope, logits)
+
+
+def shortfall(asked: Array, values: Array, is_allowed: Array) -> Array:
+    """f32[F]: how far each of f32[F] is from the range of f32[N, F] among those allowed; inf if none is."""
+    low = jnp.min(jnp.where(is_allowed[:, None], values, jnp.inf), axis=0)
+    high = jnp.max(jnp.where(is_allowed[:, None], values, -jnp.inf), axis=0)
+    return jnp.maximum(jnp.maximum(low - asked, asked - high), 0.0)
