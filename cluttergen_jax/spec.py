@@ -42,6 +42,7 @@ from cluttergen_jax.placement.config import (
     MOST_UNASKED,
     RUIN_AFTER,
     PlacementConfig,
+    PlacementRequest,
 )
 from cluttergen_jax.placement.methods.own import OwnMethod
 from cluttergen_jax.placement.methods.table import TARGETS, TRUSTED, entry_of, find_method, takers
@@ -110,7 +111,7 @@ class SceneOptions(TypedDict, total=False):
 
 
 @dataclass(frozen=True, repr=False)
-class SceneSpec:
+class SceneSpec(PlacementRequest):
     """Which objects are placed where, by which rules and which method.
 
     Attributes:
@@ -198,7 +199,6 @@ class SceneSpec:
     pool: str | Path = "dining"
     objects: Sequence[str] = ()
     exclude: Sequence[str] = ()
-    num_objects: int | None = None
     repeat: bool = False
     shelf: int | None = None
     weights: str | Mapping[str, float] = ""
@@ -208,25 +208,10 @@ class SceneSpec:
     region: Rectangle | str | None = None
     keep_out: Sequence[Rectangle | str] = ()
     start: str | None = None
-    containment: Containment = "center"
-    order: Order | None = None
-    max_attempts: int = 5
-    ruin_after: int | None = None
-    budget: int | None = None
-    min_margin: float | None = None
     robust: bool = False
     stability: str | Mapping[str, float | str] | StabilityConfig | None = None
     for_engine: OtherEngine | None = None
     setting: Setting = "default"
-    overhang: Overhang = "any"
-    clutter: str | Mapping[str, float] | Clutter | None = None
-    natural: bool = False
-    tidy: bool = False
-    height: Height = "rest"
-    poses: Poses = "upright"
-    relations: Sequence[str] = ()
-    roles: str | Mapping[str, str] = ""
-    clearance: float | None = None
     method: Method | OwnProposer | str | None = None
     checkpoint: str | Path | None = None
     engine: Engine = "auto"
@@ -329,12 +314,11 @@ class SceneSpec:
 
     def overrides(self) -> SceneOptions:
         """The fields that are not at their defaults, by name."""
-        found = {
-            each.name: getattr(self, each.name)
-            for each in dataclasses.fields(self)
-            if getattr(self, each.name) != each.default
-        }
-        return cast(SceneOptions, found)
+        found = {name: getattr(self, name) for name in DEFAULTS}
+        return cast(
+            SceneOptions,
+            {name: value for name, value in found.items() if value != DEFAULTS[name]},
+        )
 
     def __repr__(self) -> str:
         return f"SceneSpec({', '.join(f'{name}={value!r}' for name, value in self.overrides().items())})"
@@ -600,12 +584,10 @@ class SceneSpec:
         )
 
 
-RULES = tuple(
-    each.name
-    for each in dataclasses.fields(PlacementConfig)
-    if each.name in SceneSpec.__dataclass_fields__
-)
-"""Fields of a request that `PlacementConfig` has as well, decided."""
+DEFAULTS = {name: getattr(SceneSpec, name) for name in SceneOptions.__annotations__}
+"""Of the fields of a request, in the order in which they are shown."""
+RULES = tuple(each.name for each in dataclasses.fields(PlacementRequest))
+"""Those that `PlacementConfig` has as well, decided."""
 _ALWAYS_ASKED = ("pool", "objects", "repeat", "support", "engine")
 _ALWAYS_RULED = ("num_objects", "containment", "order")
 _LATER = ("shelf", "balance", "surface", "start", "checkpoint")
@@ -658,7 +640,7 @@ def takes_spec(refused: Mapping[str, str] | None = None, **defaults: Any) -> Cal
             for each in inspect.signature(function).parameters.values()
             if each.kind is not inspect.Parameter.VAR_KEYWORD
         ]
-        usual = {each.name: each.default for each in dataclasses.fields(SceneSpec)} | defaults
+        usual = DEFAULTS | defaults
         names = [name for name in usual if name not in reasons]
         shown = [
             inspect.Parameter(

@@ -390,7 +390,9 @@ def _setup_of(given: LayoutSet) -> tuple[Setup, list[list[int]]]:
     number = max(len(each.names) for each in given.layouts)
     config = replace(
         given.config,
-        placement=PlacementConfig(number, order="fixed", min_margin=MIN_MARGIN, history_stride=0),
+        placement=PlacementConfig(
+            num_objects=number, order="fixed", min_margin=MIN_MARGIN, history_stride=0
+        ),
         stability=replace(given.config.stability, both_detectors=True),
         repeat=True,
         engine="native",

@@ -24,8 +24,9 @@ TAKERS = (cg.generate, cg.make_sampler, cg.make_env, cg.train, cg.evaluate)
 def test_the_keywords_are_the_fields():
     assert set(SceneOptions.__annotations__) == set(FIELDS)
     own = {name: each.type for name, each in FIELDS.items()}
-    # A spec holds clutter parsed as well.
+    # A spec holds clutter parsed as well, and a config of placing also roles.
     own["clutter"] = own["clutter"].replace(" | Clutter", "")
+    own["roles"] = own["roles"].replace(" | tuple[tuple[str, str], ...]", "")
     for name, kind in SceneOptions.__annotations__.items():
         assert kind.__forward_arg__ == own[name], name
 
