@@ -34,7 +34,7 @@ from cluttergen_jax.evaluation.resolved import (
 )
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.learning.methods import proposer_of, with_history_of
+from cluttergen_jax.learning.methods import Method, block_sampler_of, with_history_of
 from cluttergen_jax.physics import engine_of, make_physics
 from cluttergen_jax.physics.host import NumberedEngines, Physics
 from cluttergen_jax.physics.native import NativePhysics
@@ -307,12 +307,12 @@ class Runner:
             config=config,
             history_steps=stability.decision_step if is_longer else None,
         )
-        with usable(resolved.checkpoint, trial):
-            propose = proposer_of(trial.method, resolved.checkpoint, rules)
         # What is compiled for episodes that begin with nothing is shared by all of them.
         is_bare = not trial.spec.keep_out and resolved.standing is None
         begins = (None, None) if is_bare else (setup.keep_out, setup.start)
-        return BlockSampler(rules, propose, *begins)
+        method = Method(trial.method, resolved.checkpoint)
+        with usable(resolved.checkpoint, trial):
+            return block_sampler_of(method, rules, *begins)
 
     def setup(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> Problem:
         """The trial's compiled world and rules, ready for what is compiled already."""
@@ -320,7 +320,8 @@ class Runner:
         config = self._config(resolved, judge_neighbours)
         if config.shelf:
             return base
-        rules = replace(base.rules, physics=self._physics(base.world, config.stability))
+        physics = self._physics(base.world, config)
+        rules = replace(base.rules, physics=physics)
         return replace(base, config=replace(base.config, stability=config.stability), rules=rules)
 
     def world(self, resolved: ResolvedTrial) -> World:
@@ -335,12 +336,13 @@ class Runner:
         area = area_asked(problem.config, problem.world.support) or width * depth
         return float(np.mean(areas) * resolved.trial.num_objects / area)
 
-    def _physics(self, world: World, stability: StabilityConfig) -> Physics:
+    def _physics(self, world: World, config: ProblemConfig) -> Physics:
         """The engine of a world. Worlds of equal sizes share what is compiled around a native one.
 
         A shared one drives the world asked for last: one is at work at a time.
         """
-        engine = make_physics(world.layout, stability, self.engine, self.num_threads)
+        stability = config.stability
+        engine = make_physics(world.layout, stability, config.engine, self.num_threads)
         if not isinstance(engine, NativePhysics):
             return engine
         sizes = (world.num_objects, stability)
@@ -354,13 +356,15 @@ class Runner:
     def _config(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> ProblemConfig:
         """The trial's problem on the runner's engine, judged as its method and its count ask."""
         trial = resolved.trial
-        config = replace(resolved.config, engine=self.engine, num_threads=self.num_threads)
+        # Piles are made by the native engine alone.
+        engine = "native" if resolved.config.is_piled else self.engine
+        config = replace(resolved.config, engine=engine, num_threads=self.num_threads)
         stability = replace(
             config.stability,
             stop_when_decided=resolved.is_cut and not trial.whole_attempts,
             judge_neighbours=judge_neighbours,
         )
-        has_two = engine_of(self.engine, stability) == "native"
+        has_two = engine_of(engine, stability) == "native"
         is_asked = trial.spec.setting != "paper"
         return replace(config, stability=replace(stability, both_detectors=is_asked and has_two))
 
