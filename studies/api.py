@@ -14,7 +14,7 @@ from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.numerics import with_kept_programs
 
 if TYPE_CHECKING:
-    from cluttergen_jax.evaluation.records import Result
+    from studies.results import Result
 
 
 @with_kept_programs

@@ -24,7 +24,7 @@ from cluttergen_jax.config import (
     stability_record,
 )
 from cluttergen_jax.errors import ClutterGenError, ConfigError, PoolError
-from cluttergen_jax.evaluation.machine import versions
+from cluttergen_jax.evaluation.records import versions
 from cluttergen_jax.evaluation.trial import Trial, key_of
 from cluttergen_jax.learning.methods import checkpoint_of
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint

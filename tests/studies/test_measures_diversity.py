@@ -8,19 +8,18 @@ from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.measures.diversity import (
+from cluttergen_jax.evaluation.diversity import embed, scene_distances
+from cluttergen_jax.judging.scene_models import by_object
+from studies.measures.diversity import (
     edge_share,
-    embed,
     independent_distance,
     nearest_distance,
     plan_box_area,
     plan_clusters,
     plan_entropy,
-    scene_distances,
     scene_kernel,
     vendi_score,
 )
-from cluttergen_jax.judging.scene_models import by_object
 from tests.helpers.worlds import box
 
 REGION = Rectangle((0.1, -0.2), (0.3, 0.2), 0.7)
