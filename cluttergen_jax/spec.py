@@ -347,6 +347,9 @@ class SceneSpec(PlacementRequest):
         Args:
           method: by name; None for an environment, in which someone else acts.
         """
+        return replace(self, **self._decided_rules(method))
+
+    def _decided_rules(self, method: str | None) -> dict[str, Any]:
         is_default = self.setting == "default"
         is_ordered = is_default and entry_of(method).is_ordered
         order: Order = "weighted" if is_ordered else "random"
@@ -354,12 +357,9 @@ class SceneSpec(PlacementRequest):
         # In a heap things lean on walls and on each other.
         usual = MIN_MARGIN if is_default and not entry_of(method).is_whole else 0.0
         min_margin = usual if self.for_engine is None else MARGIN_FOR[self.for_engine]
-        return replace(
-            self,
-            order=order if self.order is None else self.order,
-            ruin_after=ruin_after if self.ruin_after is None else self.ruin_after,
-            min_margin=min_margin if self.min_margin is None else self.min_margin,
-        )
+        usual_rules = {"order": order, "ruin_after": ruin_after, "min_margin": min_margin}
+        given = {name: getattr(self, name) for name in usual_rules}
+        return usual_rules | {name: value for name, value in given.items() if value is not None}
 
     def check_poses(self, method: str) -> None:
         """Refuses poses with a method that sees clouds of upright objects (ConfigError)."""
@@ -535,10 +535,11 @@ class SceneSpec(PlacementRequest):
         limits = StabilityConfig() if self.stability is None else stability_of(self.stability)
         stability = replace(limits, robust_tilt=ROBUST_TILT if self.robust else 0.0)
         stability = _for_poses(stability, self.poses)
-        placement = self.with_rules(method)._placement(num_objects)
+        decided = self._decided_rules(method)
         if entry.limits_stack:
-            stacked = placement.clutter.stack if placement.clutter is not None else None
-            placement = replace(placement, most_stacked=math.ceil(stacked or 0))
+            clutter = None if self.clutter is None else Clutter.of(self.clutter)
+            decided["most_stacked"] = math.ceil((clutter and clutter.stack) or 0)
+        placement = self._placement(num_objects, decided)
         engine: Engine = "native" if entry.is_whole else self.engine
         has_two_detectors = engine_of(engine, stability) == "native"
         return ProblemConfig(
@@ -569,19 +570,18 @@ class SceneSpec(PlacementRequest):
 
         return parse_weights(str(self.weights))
 
-    def _placement(self, num_objects: int) -> PlacementConfig:
+    def _placement(
+        self, num_objects: int, decided: Mapping[str, Any] | None = None
+    ) -> PlacementConfig:
         """The rules of an episode; those that are not decided yet are the paper's."""
         asked = {name: getattr(self, name) for name in RULES}
-        decided = {name: value for name, value in asked.items() if value is not None}
-        return PlacementConfig(
-            **decided
-            | {
-                "num_objects": num_objects,
-                "roles": parse_roles(self.roles),
-                # With a hundred objects one in four scenes would be lost to a single one that creeps.
-                "retry_last": bool(self.ruin_after) and num_objects > CROWD,
-            }
-        )
+        rules = {name: value for name, value in asked.items() if value is not None}
+        rules |= decided or {}
+        rules["num_objects"] = num_objects
+        rules["roles"] = parse_roles(self.roles)
+        # With a hundred objects one in four scenes would be lost to a single one that creeps.
+        rules["retry_last"] = bool(rules.get("ruin_after")) and num_objects > CROWD
+        return PlacementConfig(**rules)
 
 
 DEFAULTS = {name: getattr(SceneSpec, name) for name in SceneOptions.__annotations__}
@@ -680,7 +680,7 @@ def spec_of(
     """
     taken: tuple[str, ...] = function.spec_fields  # type: ignore[attr-defined]
     refused: Mapping[str, str] = function.spec_refused  # type: ignore[attr-defined]
-    usual = SceneSpec(**function.spec_defaults)  # type: ignore[attr-defined]
+    usual: dict[str, Any] = function.spec_defaults  # type: ignore[attr-defined]
     for name in options:
         if name in refused:
             value = options[name]
@@ -696,9 +696,9 @@ def spec_of(
             raise ConfigError(
                 given, "one pool; several are joined by +", f"pool='{spec}+{options['pool']}'"
             )
-        return replace(usual, pool=spec, **options)
+        return SceneSpec(**usual | {"pool": spec} | options)
     if spec is None:
-        return replace(usual, **options)
+        return SceneSpec(**usual | options)
     if not isinstance(spec, SceneSpec):
         raise ConfigError(
             f"spec = {spec!r}", "a SceneSpec, or a pool's name", "SceneSpec(pool='dining')"

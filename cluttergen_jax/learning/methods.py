@@ -110,7 +110,11 @@ def _check_variant(method: str, given: Checkpoint) -> None:
 def with_history_of(placement: PlacementConfig, checkpoint: Checkpoint | None) -> PlacementConfig:
     """The settings with the history that a method looks back on: none for a baseline."""
     stride = 0 if checkpoint is None else checkpoint.trained.placement.history_stride
-    return replace(placement, history_stride=stride)
+    return (
+        placement
+        if stride == placement.history_stride
+        else replace(placement, history_stride=stride)
+    )
 
 
 def proposer_of(method: str, checkpoint: Checkpoint | None, rules: Rules) -> Proposer:

@@ -52,7 +52,7 @@ def test_a_misspelt_field_is_refused(function):
 def test_a_spec_is_refused_where_a_field_of_it_counts_for_nothing():
     with pytest.raises(ConfigError, match=r"clutter = .* in an environment without a method"):
         cg.make_env(SceneSpec(clutter="stack=1"))
-    with pytest.raises(ConfigError, match="shelf = 9 in the spec for make_env.*leaving shelf out"):
+    with pytest.raises(ConfigError, match=r"shelf = 9 in the spec for make_env.*leaving shelf out"):
         cg.make_env(SceneSpec(shelf=9))
     with pytest.raises(ConfigError, match="tidy = True in the spec for train"):
         cg.train(SceneSpec(tidy=True))
