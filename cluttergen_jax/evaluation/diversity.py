@@ -8,8 +8,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
-from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.assets import ObjectAsset, Rectangle
 from cluttergen_jax.judging.scene_models import check_scenes
 
 _COORDINATES = 13

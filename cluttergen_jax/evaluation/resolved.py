@@ -13,20 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.assets.object_files import object_hash
+from cluttergen_jax.assets import Rectangle, SupportAsset, find_support, object_hash
 from cluttergen_jax.assets.pool import Pool, find_pool
-from cluttergen_jax.assets.support import Rectangle, SupportAsset
-from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.config import (
-    ROBUST_TILT,
-    StabilityConfig,
-    no_such,
-    stability_record,
-)
+from cluttergen_jax.config import ROBUST_TILT, StabilityConfig, no_such, stability_record
 from cluttergen_jax.errors import ClutterGenError, ConfigError, PoolError
 from cluttergen_jax.evaluation.records import versions
 from cluttergen_jax.evaluation.trial import Trial, key_of
-from cluttergen_jax.learning.methods import checkpoint_of
+from cluttergen_jax.learning import checkpoint_of
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.learning.policies.embedded import FOR_ANY_POOL
 from cluttergen_jax.learning.training.suite import (

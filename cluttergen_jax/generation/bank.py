@@ -18,12 +18,10 @@ from cluttergen_jax.errors import BankError, ConfigError, range_text
 from cluttergen_jax.generation.arguments import check_key, is_known
 from cluttergen_jax.generation.bank_world import BankAttachment, attach_bank
 from cluttergen_jax.numerics import with_own_settings
-from cluttergen_jax.placement.region import from_pose
-from cluttergen_jax.scene import Scene, SceneCollection
-from cluttergen_jax.scene.bank import Bank, read_bank
+from cluttergen_jax.placement import from_pose
+from cluttergen_jax.scene import Bank, Scene, SceneCollection, read_bank, scene_cameras
 from cluttergen_jax.scene.bank.hub import find_bank
 from cluttergen_jax.scene.bank.scene import SceneArrayReader, SceneArrays, config_of, join_scenes
-from cluttergen_jax.scene.cameras import scene_cameras
 from cluttergen_jax.scene.collection import SceneModel, compile_scenes
 from cluttergen_jax.scene.scene import KEYFRAME
 from cluttergen_jax.types import Array

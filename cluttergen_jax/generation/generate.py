@@ -19,8 +19,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets import ObjectAsset, SupportAsset
 from cluttergen_jax.cluster import Cluster, each_on
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.files import writing

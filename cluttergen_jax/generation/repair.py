@@ -15,11 +15,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 
-from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets import ObjectAsset, find_support
 from cluttergen_jax.assets.outline import Ring
 from cluttergen_jax.assets.pool import Pool, find_pool
 from cluttergen_jax.assets.support import SupportAsset, Surface, recorded_ring
-from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import REPAIR, ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.files import file_whole, write_atomically, writing
@@ -28,7 +27,7 @@ from cluttergen_jax.generation.layout_json import FORM, UNITS, LayoutEntry, read
 from cluttergen_jax.generation.recipe import recipe_of
 from cluttergen_jax.geometry import conjugate, transform_points, turn_between
 from cluttergen_jax.learning.methods import Method
-from cluttergen_jax.placement.config import MIN_MARGIN, PlacementConfig
+from cluttergen_jax.placement import MIN_MARGIN, PlacementConfig
 from cluttergen_jax.placement.problem import ProblemConfig, Setup, make_setup
 from cluttergen_jax.placement.repair import LayoutRepair, RepairConfig
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, blocks_of
