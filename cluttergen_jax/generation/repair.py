@@ -19,7 +19,7 @@ from cluttergen_jax.assets import ObjectAsset, find_support
 from cluttergen_jax.assets.outline import Ring
 from cluttergen_jax.assets.pool import Pool, find_pool
 from cluttergen_jax.assets.support import SupportAsset, Surface, recorded_ring
-from cluttergen_jax.config import REPAIR, ContactConfig, StabilityConfig
+from cluttergen_jax.config import REPAIR
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.files import file_whole, write_atomically, writing
 from cluttergen_jax.generation.files import write_files
@@ -37,7 +37,7 @@ from cluttergen_jax.scene.bank import Bank, BankRow, BankWriter, read_bank
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.record import INDEX
 from cluttergen_jax.scene.bank.reference import missing_text, parse_reference
-from cluttergen_jax.scene.bank.scene import config_of, region_of
+from cluttergen_jax.scene.bank.scene import region_of, rules_of
 from cluttergen_jax.scene.bank.table import rows_of, table_of
 from cluttergen_jax.scene.bank.writer import names_of
 from cluttergen_jax.schema import digest_of
@@ -125,13 +125,14 @@ def _layouts_of_bank(bank: Bank, numbers: Sequence[int] | None) -> LayoutSet:
                 f"{bank.path.name}:{row.index}", row.objects, objects, row.poses.astype(float)
             )
         )
+    stability, contact = rules_of(bank)
     config = ProblemConfig(
         pool=str(recipe.get("pool", "")),
         support=str(recipe.get("support", "")),
         region=region_of(bank),
         polygon=recorded_ring(recipe.get("polygon", ())),
-        stability=config_of(StabilityConfig, recipe.get("stability", {}), bank.path),
-        contact=config_of(ContactConfig, recipe.get("contact", {}), bank.path),
+        stability=stability,
+        contact=contact,
     )
     return LayoutSet(tuple(layouts), bank.support, config)
 
