@@ -133,7 +133,8 @@ class _Remade:
 class GymnasiumEnv(_Remade, gymnasium.Env):
     """One scene; see `make_gym_env`.
 
-    `info` has, after each step, "verdict", "num_placed" and "is_success" (`AttemptOutcome`). Nothing is truncated.
+    `info` has, after each step, "verdict", "num_placed" and "is_success" (`AttemptOutcome`). Nothing is
+    truncated.
 
     Attributes:
       scene: the latest finished scene, arrays of NumPy; None before there is one.
@@ -175,9 +176,10 @@ class GymnasiumVectorEnv(_Remade, VectorEnv):
     """N scenes, simulated together; see `make_vector_env`.
 
     `infos` is as that of `gymnasium.vector.SyncVectorEnv`: "verdict", "num_placed" and "is_success"
-    (`AttemptOutcome`), [N] each, with their masks "_verdict" and so on. With `AutoresetMode.SAME_STEP`, where an
-    episode has ended they are in `infos["final_info"]`, and its last observation in `infos["final_obs"][i]`;
-    with `NEXT_STEP` they are masked where an episode has just begun. Nothing is truncated.
+    (`AttemptOutcome`), [N] each, with their masks "_verdict" and so on. With `AutoresetMode.SAME_STEP`, where
+    an episode has ended they are in `infos["final_info"]`, and its last observation in
+    `infos["final_obs"][i]`; with `NEXT_STEP` they are masked where an episode has just begun. Nothing is
+    truncated.
     """
 
     def __init__(
