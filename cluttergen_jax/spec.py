@@ -395,18 +395,14 @@ class SceneSpec(PlacementRequest):
             raise ConfigError(given, f"with {' or '.join(known)}", f"method={known[0]!r}")
         if not entry.is_whole:
             return
-        refused = ("keep_out", "start", "ruin_after", "min_margin", "robust", "for_engine")
-        wanted = [name for name in refused if getattr(self, name)]
-        is_polygon = isinstance(self.region, str) and (
-            ";" in self.region or self.region == "outline"
-        )
-        wanted += ["region"] * is_polygon
-        wanted += ["surface"] * (
-            self.surface == "all" or any(sign in self.surface for sign in ",:")
-        )
-        wanted += ["overhang"] * (self.overhang != "any") + ["engine"] * (
-            self.engine in ("warp", "jax")
-        )
+        others = ("keep_out", "start", "ruin_after", "min_margin", "robust", "for_engine")
+        is_asked = {name: bool(getattr(self, name)) for name in others}
+        region = self.region if isinstance(self.region, str) else ""
+        is_asked["region"] = region == "outline" or ";" in region
+        is_asked["surface"] = self.surface == "all" or bool({*",:"} & {*self.surface})
+        is_asked["overhang"] = self.overhang != "any"
+        is_asked["engine"] = self.engine in ("warp", "jax")
+        wanted = [name for name, asked in is_asked.items() if asked]
         if wanted:
             value = getattr(self, wanted[0])
             raise ConfigError(
