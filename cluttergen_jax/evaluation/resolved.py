@@ -33,7 +33,6 @@ from cluttergen_jax.placement.methods.own import OwnMethod
 from cluttergen_jax.placement.methods.table import LEARNED, METHODS, entry_of
 from cluttergen_jax.placement.problem import ProblemConfig, Standing
 from cluttergen_jax.scene.bank.reference import read_start
-from cluttergen_jax.spec import CROWD, MOST_ON_SHELF
 
 VARIANT_POOLS = {"held_out_families": HELD_OUT_FAMILIES, "training_families": TRAINING_FAMILIES}
 """Names of pools of the modeller's variants, which no folder holds, and the families of their objects."""
@@ -346,8 +345,6 @@ class Resolver:
             sources["method"] = trial.method.digest
         if trial.spec.robust:
             sources["robust"] = stability_record(StabilityConfig(robust_tilt=ROBUST_TILT))
-        if _differs_from_earlier(trial, len(pool)):
-            sources["as_generated"] = True
         if standing is not None:
             sources["start"] = _standing_hash(standing)
         return ResolvedTrial(
@@ -359,15 +356,6 @@ class Resolver:
             key_of(trial, sources),
             standing,
         )
-
-
-def _differs_from_earlier(trial: Trial, num_objects: int) -> bool:
-    """Whether earlier versions, which had rules of their own for rows, made other scenes than `generate`."""
-    spec = trial.spec
-    is_crowd = trial.num_objects > CROWD and bool(spec.ruin_after)
-    is_drawn = num_objects > MOST_ON_SHELF
-    is_turned = spec.poses == "any" or (spec.poses == "resting" and spec.setting != "paper")
-    return is_crowd or is_drawn or is_turned or entry_of(trial.method).limits_stack
 
 
 def _standing_hash(standing: Standing) -> str:
