@@ -50,6 +50,7 @@ from cluttergen_jax.placement.relations import conditions_of, parse_relations, p
 
 # What reads assets is imported where it is needed: this module is all that a command's `--help` loads.
 if TYPE_CHECKING:
+    from cluttergen_jax.assets.facts import ObjectFacts
     from cluttergen_jax.assets.outline import Ring
     from cluttergen_jax.assets.pool import Pool
     from cluttergen_jax.assets.support import Rectangle
@@ -449,7 +450,7 @@ class SceneSpec(PlacementRequest):
           ConfigError: more objects are asked for than there are, or there is no such engine.
           PoolError: there is no such pool or support.
         """
-        from cluttergen_jax.assets.facts import chosen_names, is_plain_name, weights_of
+        from cluttergen_jax.assets.facts import chosen_names, is_plain_name
         from cluttergen_jax.assets.pool import find_pool
         from cluttergen_jax.assets.support import parse_polygon, parse_region, parse_surfaces
         from cluttergen_jax.assets.support_file import find_support
@@ -472,43 +473,9 @@ class SceneSpec(PlacementRequest):
         if is_drawn:
             if weights:
                 facts = (found or find_pool(pool)).facts
-                names = set(chosen) or {each.name for each in facts}
-                kept = [each for each in facts if each.name in names]
-                available = int((weights_of(kept, weights) > 0).sum())
-                if not available:
-                    given = f"weights = {str(self.weights)!r}, by which no object of pool {pool!r} is drawn"
-                    raise ConfigError(
-                        given, "a weight above 0 for one object or more", "leaving out weights of 0"
-                    )
-            asked = self.num_objects or 0
-            usual = min(SHELF if asked <= SHELF else 2 * asked, available, MOST_ON_SHELF)
-            shelf = usual if self.shelf is None else self.shelf
-            if not 1 <= shelf <= min(available, MOST_ON_SHELF):
-                most = range_text(1, min(available, MOST_ON_SHELF))
-                allowed = f"{most} of the {available} objects of pool {pool!r}"
-                raise ConfigError(f"shelf = {shelf}", allowed, f"shelf={usual}")
-            drawn = min(available, MOST_ON_SHELF)
+                available = self._num_weighted(facts, chosen)
+            shelf = self._shelf_of(available)
             available = shelf
-            if asked > shelf:
-                given = f"{asked} objects of a shelf of {shelf}"
-                hint = "fewer objects"
-                if drawn < asked and weights:
-                    given = f"{asked} objects of {drawn} with a weight above 0"
-                    hint = "fewer objects, or weights above 0 for more"
-                elif drawn >= asked:
-                    hint = f"shelf={min(drawn, 2 * asked)}"
-                raise ConfigError(given, range_text(1, shelf), hint)
-            if self.relations or self.roles:
-                given = "`relations` with a shelf of objects that each block draws"
-                raise ConfigError(given, "one or the other", "fewer `objects` and no `shelf`")
-            if self.start is not None:
-                given = "`start` with a shelf of objects that each block draws"
-                raise ConfigError(given, "no start", "fewer `objects`, without a shelf")
-            if self.repeat:
-                given = "`repeat` with a shelf of objects that each block draws"
-                raise ConfigError(
-                    given, "one or the other", "repeat=False, or fewer `objects` and no `shelf`"
-                )
         entry = entry_of(method)
         num_objects = min(available, MOST_UNASKED) if self.num_objects is None else self.num_objects
         if ":" in self.surface:
@@ -558,6 +525,46 @@ class SceneSpec(PlacementRequest):
             ),
             contact=ContactConfig(noslip_iterations=PILE_NOSLIP if entry.is_whole else 0),
         )
+
+    def _num_weighted(self, facts: Sequence[ObjectFacts], chosen: Sequence[str]) -> int:
+        """How many of the chosen objects, all if there are none, may be drawn by their weights."""
+        from cluttergen_jax.assets.facts import weights_of
+
+        kept = [each for each in facts if not chosen or each.name in chosen]
+        number = int((weights_of(kept, self._weights()) > 0).sum())
+        if not number:
+            given = f"weights = {str(self.weights)!r}, by which no object of pool {self.pool_text!r} is drawn"
+            allowed = "a weight above 0 for one object or more"
+            raise ConfigError(given, allowed, "leaving out weights of 0")
+        return number
+
+    def _shelf_of(self, available: int) -> int:
+        """How many of the objects that may be drawn each block draws for its own."""
+        asked = self.num_objects or 0
+        most = min(available, MOST_ON_SHELF)
+        usual = min(SHELF if asked <= SHELF else 2 * asked, most)
+        shelf = usual if self.shelf is None else self.shelf
+        if not 1 <= shelf <= most:
+            allowed = f"{range_text(1, most)} of the {available} objects of pool {self.pool_text!r}"
+            raise ConfigError(f"shelf = {shelf}", allowed, f"shelf={usual}")
+        if asked > shelf:
+            given = f"{asked} objects of a shelf of {shelf}"
+            hint = "fewer objects"
+            if most < asked and self.weights:
+                given = f"{asked} objects of {most} with a weight above 0"
+                hint = "fewer objects, or weights above 0 for more"
+            elif most >= asked:
+                hint = f"shelf={min(most, 2 * asked)}"
+            raise ConfigError(given, range_text(1, shelf), hint)
+        drawn = "with a shelf of objects that each block draws"
+        fewer = "fewer `objects` and no `shelf`"
+        if self.relations or self.roles:
+            raise ConfigError(f"`relations` {drawn}", "one or the other", fewer)
+        if self.start is not None:
+            raise ConfigError(f"`start` {drawn}", "no start", "fewer `objects`, without a shelf")
+        if self.repeat:
+            raise ConfigError(f"`repeat` {drawn}", "one or the other", f"repeat=False, or {fewer}")
+        return shelf
 
     def _weights(self) -> tuple[tuple[str, float], ...]:
         if not self.weights:
