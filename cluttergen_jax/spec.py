@@ -699,9 +699,9 @@ def spec_of(
             raise ConfigError(
                 given, "one pool; several are joined by +", f"pool='{spec}+{options['pool']}'"
             )
-        return SceneSpec(**usual | {"pool": spec} | options)
+        return SceneSpec(**{**usual, "pool": spec, **options})
     if spec is None:
-        return SceneSpec(**usual | options)
+        return SceneSpec(**{**usual, **options})
     if not isinstance(spec, SceneSpec):
         raise ConfigError(
             f"spec = {spec!r}", "a SceneSpec, or a pool's name", "SceneSpec(pool='dining')"

@@ -315,7 +315,8 @@ class Runner:
         begins = (None, None) if is_bare else (setup.keep_out, setup.start)
         method = Method(trial.method, resolved.checkpoint)
         with usable(resolved.checkpoint, trial):
-            return block_sampler_of(method, rules, *begins)
+            sampler = block_sampler_of(method, rules, *begins)
+        return sampler
 
     def setup(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> Problem:
         """The trial's compiled world and rules, ready for what is compiled already."""

@@ -108,7 +108,7 @@ class PlacementConfig(PlacementRequest):
     roles: tuple[tuple[str, str], ...] = ()
     clearance: float = CLEARANCE
     # What no request asks for.
-    reward: Reward = "paper"
+    reward: str = "paper"
     history_stride: int = 1
     motion_cost: float = 0.005
     success_reward: float = 100.0
