@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation.comparison import values_of
-from cluttergen_jax.evaluation.records import Provenance
+from cluttergen_jax.evaluation.records import RunInfo
 from cluttergen_jax.evaluation.store import FORMAT, json_bytes
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.files import write_atomically
@@ -82,7 +82,7 @@ def _how_made(result: Result) -> tuple[str, str, str]:
     return f"`{result['command']}`", date, f"{trials} trials a row, {where}{others}"
 
 
-def _when_and_where(origin: Provenance | Result) -> tuple[str, str]:
+def _when_and_where(origin: RunInfo | Result) -> tuple[str, str]:
     if origin["machine"] is None:
         return "", "kept by an older version, which did not note when and where it made them"
     return origin["date"] or "", f"on {sentence(origin['machine'])}"

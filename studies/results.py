@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterable, Mapping
 from typing import Any, TypedDict
 
-from cluttergen_jax.evaluation.records import Machine, Provenance, Row
+from cluttergen_jax.evaluation.records import Machine, Row, RunInfo
 
 
 class Measured(TypedDict):
@@ -31,7 +31,7 @@ class Result(TypedDict, total=False):
     trials: list[int]
     date: str | None
     machine: Machine | None
-    also_made: list[Provenance]
+    also_made: list[RunInfo]
     records: list[Row]
     measure: Measured | None
     pictures: list[str]
@@ -44,7 +44,7 @@ def made_rows(rows: Iterable[Row]) -> list[Row]:
     return [row for row in rows if "figures" in row]
 
 
-def origins_of(made: Iterable[Row]) -> list[Provenance]:
+def origins_of(made: Iterable[Row]) -> list[RunInfo]:
     """When and where several things were made: an entry for each machine, the latest first.
 
     Args:
@@ -55,7 +55,7 @@ def origins_of(made: Iterable[Row]) -> list[Provenance]:
     """
     machines: dict[str, Machine] = {}
     days: dict[str, list[str]] = {}
-    unknown: list[Provenance] = []
+    unknown: list[RunInfo] = []
     for each in made:
         if "machine" in each:
             name = json.dumps(each["machine"], sort_keys=True)
@@ -68,7 +68,7 @@ def origins_of(made: Iterable[Row]) -> list[Provenance]:
         name: " to ".join(dict.fromkeys((min(days[name]), max(days[name]))))
         for name in latest_first
     }
-    return [Provenance(date=span, machine=machines[name]) for name, span in spans.items()] + unknown
+    return [RunInfo(date=span, machine=machines[name]) for name, span in spans.items()] + unknown
 
 
 def sentence(facts: Machine) -> str:

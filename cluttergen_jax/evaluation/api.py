@@ -92,7 +92,8 @@ def evaluate(
       BankError: another process writes to `out`.
     """
     from cluttergen_jax.cluster import cluster_of
-    from cluttergen_jax.evaluation.comparison import compare, open_runner
+    from cluttergen_jax.evaluation.comparison import compare
+    from cluttergen_jax.evaluation.runner import open_runner
     from cluttergen_jax.evaluation.trial import Trial
     from cluttergen_jax.placement.methods.table import find_method
 

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.evaluation.records import Row
-from cluttergen_jax.evaluation.resolved import Checkpoints
 from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.store import Store, json_bytes
+from cluttergen_jax.evaluation.store import json_bytes
 from cluttergen_jax.evaluation.trial import Trial, trial_of
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.tables import Table
@@ -80,28 +79,6 @@ def compare(runner: Runner, trials: Sequence[Trial], folder: Path | None) -> Com
     if folder is not None:
         found.write(folder)
     return found
-
-
-def open_runner(
-    folder: Path | None,
-    trials: Sequence[Trial],
-    checkpoint: str | Path | None,
-    checkpoints: str | Path | None,
-    engine: str,
-    num_threads: int,
-    fresh: bool,
-) -> Runner:
-    """A runner that knows how much is left to do; what cannot be found is said before anything runs."""
-    where = Checkpoints(
-        folder=None if checkpoints is None else Path(checkpoints),
-        path=None if checkpoint is None else Path(checkpoint),
-    )
-    runner = Runner(Store(folder and folder / "results"), where, engine, num_threads, fresh)
-    runner.plan(trials)
-    if folder is not None:
-        # Before hours of work: a place that cannot be written to.
-        folder.mkdir(parents=True, exist_ok=True)
-    return runner
 
 
 def _flat(row: Row) -> dict[str, Any]:

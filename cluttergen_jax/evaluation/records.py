@@ -28,7 +28,7 @@ class Machine(TypedDict):
     versions: dict[str, str]
 
 
-class Provenance(TypedDict):
+class RunInfo(TypedDict):
     """When and where something was made; None where an older version did not note it."""
 
     date: str | None
@@ -155,7 +155,7 @@ def machine() -> Machine:
     }
 
 
-def origin() -> Provenance:
+def origin() -> RunInfo:
     """When and where something is made: `date` and `machine` of now and here."""
     return {"date": datetime.datetime.now(datetime.UTC).date().isoformat(), "machine": machine()}
 

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -268,7 +269,7 @@ class Runner:
         self.say(f"{title}: done")
         return figures
 
-    def run(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> Outcome:
+    def run(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> EpisodeOutcomes:
         """The trial's episodes, whatever was kept: scene i is that of `generate` with the trial's seed."""
         trial = resolved.trial
         config = self._config(resolved, judge_neighbours)
@@ -416,6 +417,28 @@ class Runner:
         return self._drawn[1]
 
 
+def open_runner(
+    folder: Path | None,
+    trials: Sequence[Trial],
+    checkpoint: str | Path | None,
+    checkpoints: str | Path | None,
+    engine: str,
+    num_threads: int,
+    fresh: bool,
+) -> Runner:
+    """A runner that knows how much is left to do; what cannot be found is said before anything runs."""
+    where = Checkpoints(
+        folder=None if checkpoints is None else Path(checkpoints),
+        path=None if checkpoint is None else Path(checkpoint),
+    )
+    runner = Runner(Store(folder and folder / "results"), where, engine, num_threads, fresh)
+    runner.plan(trials)
+    if folder is not None:
+        # Before hours of work: a place that cannot be written to.
+        folder.mkdir(parents=True, exist_ok=True)
+    return runner
+
+
 @dataclass(frozen=True)
 class RowMaker:
     """Makes rows in another process, which finds what trials name as this one does; see `Runner`."""
@@ -463,7 +486,7 @@ class Attempts(struct.PyTreeNode):
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class EpisodeOutcomes:
     """What became of N episodes.
 
     Attributes:
@@ -491,7 +514,7 @@ def run_episodes(
     num_scenes: int,
     seed: int,
     on_done: Callable[[int], None] = lambda number: None,
-) -> Outcome:
+) -> EpisodeOutcomes:
     """Scenes 0 to num_scenes - 1 of `seed`: those of `rollout.sample_blocks`, with a log of attempts.
 
     Args:
@@ -508,7 +531,7 @@ def run_episodes(
 
     note = partial(_note, made, on_done)
     scenes = rollout.run_all(sampler, key, num_scenes, width, note)
-    return Outcome(
+    return EpisodeOutcomes(
         scenes=scenes,
         attempts=jax.tree.map(lambda *leaves: np.concatenate(leaves), *made),
         seconds=time.perf_counter() - compiled,
@@ -523,7 +546,7 @@ def run_shelves(
     num_scenes: int,
     seed: int,
     on_done: Callable[[int], None] = lambda number: None,
-) -> Outcome:
+) -> EpisodeOutcomes:
     """`run_episodes` in worlds of which each block has its own.
 
     Args:
@@ -551,10 +574,12 @@ def run_shelves(
         attempts = attempts.replace(object_index=numbers[attempts.object_index])
         seconds = time.perf_counter() - compiled
         outcomes.append(
-            Outcome(scenes, attempts, seconds, time.process_time() - cpu, compiled - started)
+            EpisodeOutcomes(
+                scenes, attempts, seconds, time.process_time() - cpu, compiled - started
+            )
         )
     join = partial(jax.tree.map, lambda *leaves: np.concatenate(leaves))
-    return Outcome(
+    return EpisodeOutcomes(
         scenes=join(*(each.scenes for each in outcomes)),
         attempts=join(*(each.attempts for each in outcomes)),
         seconds=sum(each.seconds for each in outcomes),
@@ -594,7 +619,7 @@ LEAST_ATTEMPTS = 3
 """Placements that needed fewer say nothing about attempts (paper, figure on stable steps)."""
 
 
-def figures_of(outcome: Outcome, has_last_check: bool = True) -> Figures:
+def figures_of(outcome: EpisodeOutcomes, has_last_check: bool = True) -> Figures:
     """Success, objects placed, attempts, steps and speed of one run.
 
     Args:
@@ -688,7 +713,7 @@ def steps_by_attempt(attempts: Attempts) -> list[Spread]:
     ]
 
 
-def arrays_of(outcome: Outcome) -> dict[str, np.ndarray]:
+def arrays_of(outcome: EpisodeOutcomes) -> dict[str, np.ndarray]:
     """What measures of scenes need, to be stored beside the figures. N scenes, S slots, M attempts."""
     scenes = outcome.scenes
     attempts = outcome.attempts

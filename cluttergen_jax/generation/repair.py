@@ -23,7 +23,7 @@ from cluttergen_jax.config import REPAIR
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.files import file_whole, write_atomically, writing
 from cluttergen_jax.generation.files import write_files
-from cluttergen_jax.generation.layout_json import FORM, UNITS, LayoutEntry, read_layout_json
+from cluttergen_jax.generation.layouts import FORM, UNITS, LayoutEntry, read_layout_json
 from cluttergen_jax.generation.recipe import recipe_of
 from cluttergen_jax.geometry import conjugate, transform_points, turn_between
 from cluttergen_jax.learning.methods import Method
