@@ -1,7 +1,7 @@
 """Layouts in files, as people and language models write them: what shall stand where, and where things stand.
 
-In YAML a layout is a request (`read_layout`); in JSON it has poses (`read_layout_json`), and every key is read
-or refused by its name.
+In YAML a layout is a request (`read_layout`); in JSON it has poses (`read_layout_json`), and every key is
+read or refused by its name.
 """
 
 from __future__ import annotations
