@@ -159,7 +159,8 @@ def train(
     return run_training(config, show=show)
 
 
-_OF_GUIDED = ("variant", "seed", "num_attempts", "out")
+# The problem is what the request's own fields ask for.
+_OF_GUIDED = ("variant", "seed", "num_attempts", "out", "problem")
 
 
 def _check_guided(config: TrainConfig, more: Mapping[str, object]) -> None:
