@@ -273,7 +273,9 @@ class SceneSpec(PlacementRequest):
         if self.clutter is not None:
             object.__setattr__(self, "clutter", Clutter.of(self.clutter))
         # With no number of objects yet, a budget for one is enough; of too many, the pool says what it has.
-        least = max(1, len(conditions_of(parse_roles(self.roles), parse_relations(self.relations))))
+        least = max(
+            1, len(conditions_of(parse_roles(str(self.roles)), parse_relations(self.relations)))
+        )
         self._placement(least if self.num_objects is None else min(self.num_objects, MAX_SLOTS))
 
     @classmethod
@@ -501,7 +503,8 @@ class SceneSpec(PlacementRequest):
         decided = self._decided_rules(method)
         if entry.limits_stack:
             clutter = None if self.clutter is None else Clutter.of(self.clutter)
-            decided["most_stacked"] = math.ceil((clutter and clutter.stack) or 0)
+            stack = None if clutter is None else clutter.stack
+            decided["most_stacked"] = math.ceil(stack or 0)
         placement = self._placement(num_objects, decided)
         engine: Engine = "native" if entry.is_whole else self.engine
         has_two_detectors = engine_of(engine, stability) == "native"
@@ -581,7 +584,7 @@ class SceneSpec(PlacementRequest):
         rules = {name: value for name, value in asked.items() if value is not None}
         rules |= decided or {}
         rules["num_objects"] = num_objects
-        rules["roles"] = parse_roles(self.roles)
+        rules["roles"] = parse_roles(str(self.roles))
         # With a hundred objects one in four scenes would be lost to a single one that creeps.
         rules["retry_last"] = bool(rules.get("ruin_after")) and num_objects > CROWD
         return PlacementConfig(**rules)
