@@ -101,18 +101,9 @@ ExportFormat = Literal[
 ]
 
 
-REMOVED_METHODS = {
-    "beta": "beta_free, the paper's own; banks of `beta` are read, but neither continued nor replayed"
-}
-"""Methods of version 0.1.0 that nothing makes any more, and what to try instead."""
-
-
 def no_such(what: str, name: str, known: Iterable[str]) -> ConfigError:
     """The error for an unknown name of a method, a variant or a preset."""
     known = tuple(known)
-    if name in REMOVED_METHODS:
-        gone = f"{what} {name!r}, which was removed after version 0.1.0"
-        return ConfigError(gone, ", ".join(known), REMOVED_METHODS[name])
     return ConfigError(f"{what} {name!r}", ", ".join(known), meant=closest(name, known))
 
 

@@ -42,6 +42,7 @@ from cluttergen_jax.placement.config import (
     MOST_UNASKED,
     RUIN_AFTER,
     PlacementConfig,
+    PlacementRequest,
 )
 from cluttergen_jax.placement.methods.table import (
     TARGETS,
@@ -55,6 +56,7 @@ from cluttergen_jax.placement.relations import conditions_of, parse_relations, p
 
 # What reads assets is imported where it is needed: this module is all that a command's `--help` loads.
 if TYPE_CHECKING:
+    from cluttergen_jax.assets.facts import ObjectFacts
     from cluttergen_jax.assets.pool import Pool
     from cluttergen_jax.assets.support import Rectangle, Ring
     from cluttergen_jax.placement.problem import ProblemConfig
@@ -115,7 +117,7 @@ class SceneOptions(TypedDict, total=False):
 
 
 @dataclass(frozen=True, repr=False)
-class SceneSpec:
+class SceneSpec(PlacementRequest):
     """Which objects are placed where, by which rules and which method.
 
     Attributes:
@@ -203,7 +205,6 @@ class SceneSpec:
     pool: str | Path = "dining"
     objects: Sequence[str] = ()
     exclude: Sequence[str] = ()
-    num_objects: int | None = None
     repeat: bool = False
     shelf: int | None = None
     weights: str | Mapping[str, float] = ""
@@ -213,25 +214,10 @@ class SceneSpec:
     region: Rectangle | str | None = None
     keep_out: Sequence[Rectangle | str] = ()
     start: str | None = None
-    containment: Containment = "center"
-    order: Order | None = None
-    max_attempts: int = 5
-    ruin_after: int | None = None
-    budget: int | None = None
-    min_margin: float | None = None
     robust: bool = False
     stability: str | Mapping[str, float | str] | StabilityConfig | None = None
     for_engine: OtherEngine | None = None
     setting: Setting = "default"
-    overhang: Overhang = "any"
-    clutter: str | Mapping[str, float] | Clutter | None = None
-    natural: bool = False
-    tidy: bool = False
-    height: Height = "rest"
-    poses: Poses = "upright"
-    relations: Sequence[str] = ()
-    roles: str | Mapping[str, str] = ""
-    clearance: float | None = None
     method: Method | OwnProposer | str | None = None
     checkpoint: str | Path | None = None
     engine: Engine = "auto"
@@ -292,7 +278,9 @@ class SceneSpec:
         if self.clutter is not None:
             object.__setattr__(self, "clutter", Clutter.of(self.clutter))
         # With no number of objects yet, a budget for one is enough; of too many, the pool says what it has.
-        least = max(1, len(conditions_of(parse_roles(self.roles), parse_relations(self.relations))))
+        least = max(
+            1, len(conditions_of(parse_roles(str(self.roles)), parse_relations(self.relations)))
+        )
         self._placement(least if self.num_objects is None else min(self.num_objects, MAX_SLOTS))
 
     @classmethod
@@ -334,12 +322,11 @@ class SceneSpec:
 
     def overrides(self) -> SceneOptions:
         """The fields that are not at their defaults, by name."""
-        found = {
-            each.name: getattr(self, each.name)
-            for each in dataclasses.fields(self)
-            if getattr(self, each.name) != each.default
-        }
-        return cast(SceneOptions, found)
+        found = {name: getattr(self, name) for name in DEFAULTS}
+        return cast(
+            SceneOptions,
+            {name: value for name, value in found.items() if value != DEFAULTS[name]},
+        )
 
     def __repr__(self) -> str:
         return f"SceneSpec({', '.join(f'{name}={value!r}' for name, value in self.overrides().items())})"
@@ -368,6 +355,9 @@ class SceneSpec:
         Args:
           method: by name; None for an environment, in which someone else acts.
         """
+        return replace(self, **self._decided_rules(method))
+
+    def _decided_rules(self, method: str | None) -> dict[str, Any]:
         is_default = self.setting == "default"
         is_ordered = is_default and entry_of(method).is_ordered
         order: Order = "weighted" if is_ordered else "random"
@@ -375,12 +365,9 @@ class SceneSpec:
         # In a heap things lean on walls and on each other.
         usual = MIN_MARGIN if is_default and not entry_of(method).is_whole else 0.0
         min_margin = usual if self.for_engine is None else MARGIN_FOR[self.for_engine]
-        return replace(
-            self,
-            order=order if self.order is None else self.order,
-            ruin_after=ruin_after if self.ruin_after is None else self.ruin_after,
-            min_margin=min_margin if self.min_margin is None else self.min_margin,
-        )
+        usual_rules = {"order": order, "ruin_after": ruin_after, "min_margin": min_margin}
+        given = {name: getattr(self, name) for name in usual_rules}
+        return usual_rules | {name: value for name, value in given.items() if value is not None}
 
     def check_poses(self, method: str) -> None:
         """Refuses poses with a method that sees clouds of upright objects (ConfigError)."""
@@ -416,18 +403,14 @@ class SceneSpec:
             raise ConfigError(given, f"with {' or '.join(known)}", f"method={known[0]!r}")
         if not entry.is_whole:
             return
-        refused = ("keep_out", "start", "ruin_after", "min_margin", "robust", "for_engine")
-        wanted = [name for name in refused if getattr(self, name)]
-        is_polygon = isinstance(self.region, str) and (
-            ";" in self.region or self.region == "outline"
-        )
-        wanted += ["region"] * is_polygon
-        wanted += ["surface"] * (
-            self.surface == "all" or any(sign in self.surface for sign in ",:")
-        )
-        wanted += ["overhang"] * (self.overhang != "any") + ["engine"] * (
-            self.engine in ("warp", "jax")
-        )
+        others = ("keep_out", "start", "ruin_after", "min_margin", "robust", "for_engine")
+        is_asked = {name: bool(getattr(self, name)) for name in others}
+        region = self.region if isinstance(self.region, str) else ""
+        is_asked["region"] = region == "outline" or ";" in region
+        is_asked["surface"] = self.surface == "all" or bool({*",:"} & {*self.surface})
+        is_asked["overhang"] = self.overhang != "any"
+        is_asked["engine"] = self.engine in ("warp", "jax")
+        wanted = [name for name, asked in is_asked.items() if asked]
         if wanted:
             value = getattr(self, wanted[0])
             raise ConfigError(
@@ -474,7 +457,7 @@ class SceneSpec:
           ConfigError: more objects are asked for than there are, or there is no such engine.
           PoolError: there is no such pool or support.
         """
-        from cluttergen_jax.assets.facts import chosen_names, is_plain_name, weights_of
+        from cluttergen_jax.assets.facts import chosen_names, is_plain_name
         from cluttergen_jax.assets.pool import find_pool
         from cluttergen_jax.assets.support import parse_polygon, parse_region, parse_surfaces
         from cluttergen_jax.assets.support_file import find_support
@@ -498,43 +481,9 @@ class SceneSpec:
         if is_drawn:
             if weights:
                 facts = (found or find_pool(pool)).facts
-                names = set(chosen) or {each.name for each in facts}
-                kept = [each for each in facts if each.name in names]
-                available = int((weights_of(kept, weights) > 0).sum())
-                if not available:
-                    given = f"weights = {str(self.weights)!r}, by which no object of pool {pool!r} is drawn"
-                    raise ConfigError(
-                        given, "a weight above 0 for one object or more", "leaving out weights of 0"
-                    )
-            asked = self.num_objects or 0
-            usual = min(SHELF if asked <= SHELF else 2 * asked, available, MOST_ON_SHELF)
-            shelf = usual if self.shelf is None else self.shelf
-            if not 1 <= shelf <= min(available, MOST_ON_SHELF):
-                most = range_text(1, min(available, MOST_ON_SHELF))
-                allowed = f"{most} of the {available} objects of pool {pool!r}"
-                raise ConfigError(f"shelf = {shelf}", allowed, f"shelf={usual}")
-            drawn = min(available, MOST_ON_SHELF)
+                available = self._num_weighted(facts, chosen)
+            shelf = self._shelf_of(available)
             available = shelf
-            if asked > shelf:
-                given = f"{asked} objects of a shelf of {shelf}"
-                hint = "fewer objects"
-                if drawn < asked and weights:
-                    given = f"{asked} objects of {drawn} with a weight above 0"
-                    hint = "fewer objects, or weights above 0 for more"
-                elif drawn >= asked:
-                    hint = f"shelf={min(drawn, 2 * asked)}"
-                raise ConfigError(given, range_text(1, shelf), hint)
-            if self.relations or self.roles:
-                given = "`relations` with a shelf of objects that each block draws"
-                raise ConfigError(given, "one or the other", "fewer `objects` and no `shelf`")
-            if self.start is not None:
-                given = "`start` with a shelf of objects that each block draws"
-                raise ConfigError(given, "no start", "fewer `objects`, without a shelf")
-            if self.repeat:
-                given = "`repeat` with a shelf of objects that each block draws"
-                raise ConfigError(
-                    given, "one or the other", "repeat=False, or fewer `objects` and no `shelf`"
-                )
         entry = entry_of(method)
         num_objects = min(available, MOST_UNASKED) if self.num_objects is None else self.num_objects
         if ":" in self.surface:
@@ -557,10 +506,12 @@ class SceneSpec:
         limits = StabilityConfig() if self.stability is None else stability_of(self.stability)
         stability = replace(limits, robust_tilt=ROBUST_TILT if self.robust else 0.0)
         stability = _for_poses(stability, self.poses)
-        placement = self.with_rules(method)._placement(num_objects)
+        decided = self._decided_rules(method)
         if entry.limits_stack:
-            stacked = placement.clutter.stack if placement.clutter is not None else None
-            placement = replace(placement, most_stacked=math.ceil(stacked or 0))
+            clutter = None if self.clutter is None else Clutter.of(self.clutter)
+            stack = None if clutter is None else clutter.stack
+            decided["most_stacked"] = math.ceil(stack or 0)
+        placement = self._placement(num_objects, decided)
         engine: Engine = "native" if entry.is_whole else self.engine
         has_two_detectors = engine_of(engine, stability) == "native"
         return ProblemConfig(
@@ -584,6 +535,46 @@ class SceneSpec:
             contact=ContactConfig(noslip_iterations=PILE_NOSLIP if entry.is_whole else 0),
         )
 
+    def _num_weighted(self, facts: Sequence[ObjectFacts], chosen: Sequence[str]) -> int:
+        """How many of the chosen objects, all if there are none, may be drawn by their weights."""
+        from cluttergen_jax.assets.facts import weights_of
+
+        kept = [each for each in facts if not chosen or each.name in chosen]
+        number = int((weights_of(kept, self._weights()) > 0).sum())
+        if not number:
+            given = f"weights = {str(self.weights)!r}, by which no object of pool {self.pool_text!r} is drawn"
+            allowed = "a weight above 0 for one object or more"
+            raise ConfigError(given, allowed, "leaving out weights of 0")
+        return number
+
+    def _shelf_of(self, available: int) -> int:
+        """How many of the objects that may be drawn each block draws for its own."""
+        asked = self.num_objects or 0
+        most = min(available, MOST_ON_SHELF)
+        usual = min(SHELF if asked <= SHELF else 2 * asked, most)
+        shelf = usual if self.shelf is None else self.shelf
+        if not 1 <= shelf <= most:
+            allowed = f"{range_text(1, most)} of the {available} objects of pool {self.pool_text!r}"
+            raise ConfigError(f"shelf = {shelf}", allowed, f"shelf={usual}")
+        if asked > shelf:
+            given = f"{asked} objects of a shelf of {shelf}"
+            hint = "fewer objects"
+            if most < asked and self.weights:
+                given = f"{asked} objects of {most} with a weight above 0"
+                hint = "fewer objects, or weights above 0 for more"
+            elif most >= asked:
+                hint = f"shelf={min(most, 2 * asked)}"
+            raise ConfigError(given, range_text(1, shelf), hint)
+        drawn = "with a shelf of objects that each block draws"
+        fewer = "fewer `objects` and no `shelf`"
+        if self.relations or self.roles:
+            raise ConfigError(f"`relations` {drawn}", "one or the other", fewer)
+        if self.start is not None:
+            raise ConfigError(f"`start` {drawn}", "no start", "fewer `objects`, without a shelf")
+        if self.repeat:
+            raise ConfigError(f"`repeat` {drawn}", "one or the other", f"repeat=False, or {fewer}")
+        return shelf
+
     def _weights(self) -> tuple[tuple[str, float], ...]:
         if not self.weights:
             return ()
@@ -591,27 +582,24 @@ class SceneSpec:
 
         return parse_weights(str(self.weights))
 
-    def _placement(self, num_objects: int) -> PlacementConfig:
+    def _placement(
+        self, num_objects: int, decided: Mapping[str, Any] | None = None
+    ) -> PlacementConfig:
         """The rules of an episode; those that are not decided yet are the paper's."""
         asked = {name: getattr(self, name) for name in RULES}
-        decided = {name: value for name, value in asked.items() if value is not None}
-        return PlacementConfig(
-            **decided
-            | {
-                "num_objects": num_objects,
-                "roles": parse_roles(self.roles),
-                # With a hundred objects one in four scenes would be lost to a single one that creeps.
-                "retry_last": bool(self.ruin_after) and num_objects > CROWD,
-            }
-        )
+        rules = {name: value for name, value in asked.items() if value is not None}
+        rules |= decided or {}
+        rules["num_objects"] = num_objects
+        rules["roles"] = parse_roles(str(self.roles))
+        # With a hundred objects one in four scenes would be lost to a single one that creeps.
+        rules["retry_last"] = bool(rules.get("ruin_after")) and num_objects > CROWD
+        return PlacementConfig(**rules)
 
 
-RULES = tuple(
-    each.name
-    for each in dataclasses.fields(PlacementConfig)
-    if each.name in SceneSpec.__dataclass_fields__
-)
-"""Fields of a request that `PlacementConfig` has as well, decided."""
+DEFAULTS = {name: getattr(SceneSpec, name) for name in SceneOptions.__annotations__}
+"""Of the fields of a request, in the order in which they are shown."""
+RULES = tuple(each.name for each in dataclasses.fields(PlacementRequest))
+"""Those that `PlacementConfig` has as well, decided."""
 _ALWAYS_ASKED = ("pool", "objects", "repeat", "support", "engine")
 _ALWAYS_RULED = ("num_objects", "containment", "order")
 _LATER = ("shelf", "balance", "surface", "start", "checkpoint")
@@ -664,7 +652,7 @@ def takes_spec(refused: Mapping[str, str] | None = None, **defaults: Any) -> Cal
             for each in inspect.signature(function).parameters.values()
             if each.kind is not inspect.Parameter.VAR_KEYWORD
         ]
-        usual = {each.name: each.default for each in dataclasses.fields(SceneSpec)} | defaults
+        usual = DEFAULTS | defaults
         names = [name for name in usual if name not in reasons]
         shown = [
             inspect.Parameter(
@@ -704,7 +692,7 @@ def spec_of(
     """
     taken: tuple[str, ...] = function.spec_fields  # type: ignore[attr-defined]
     refused: Mapping[str, str] = function.spec_refused  # type: ignore[attr-defined]
-    usual = SceneSpec(**function.spec_defaults)  # type: ignore[attr-defined]
+    usual: dict[str, Any] = function.spec_defaults  # type: ignore[attr-defined]
     for name in options:
         if name in refused:
             value = options[name]
@@ -720,9 +708,9 @@ def spec_of(
             raise ConfigError(
                 given, "one pool; several are joined by +", f"pool='{spec}+{options['pool']}'"
             )
-        return replace(usual, pool=spec, **options)
+        return SceneSpec(**{**usual, "pool": spec, **options})
     if spec is None:
-        return replace(usual, **options)
+        return SceneSpec(**{**usual, **options})
     if not isinstance(spec, SceneSpec):
         raise ConfigError(
             f"spec = {spec!r}", "a SceneSpec, or a pool's name", "SceneSpec(pool='dining')"

@@ -18,7 +18,7 @@ from PIL import Image, ImageSequence
 import cluttergen_jax as cg
 from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
 from cluttergen_jax.downstream.robot.gripper import gripper_of
-from cluttergen_jax.evaluation.machine import cpu_model
+from cluttergen_jax.evaluation.records import cpu_model
 
 HERE = Path(__file__).parent
 OWN = "examples/own_robot/robot.yaml"

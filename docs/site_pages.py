@@ -22,8 +22,7 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
-from cluttergen_jax.cli.commands import COMMANDS, load
-from cluttergen_jax.cli.main import main
+from cluttergen_jax.cli.main import COMMANDS, load, main
 
 ROOT = Path(__file__).parents[1]
 PAGES = {

@@ -14,7 +14,7 @@ from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.numerics import with_kept_programs
 
 if TYPE_CHECKING:
-    from cluttergen_jax.evaluation.records import Result
+    from studies.results import Result
 
 
 @with_kept_programs
@@ -81,7 +81,7 @@ def evaluate_suite(
       BankError: another process writes to `out`.
     """
     from cluttergen_jax.cluster import cluster_of
-    from cluttergen_jax.evaluation.comparison import open_runner
+    from cluttergen_jax.evaluation.runner import open_runner
     from cluttergen_jax.numerics import fast_compilation
     from cluttergen_jax.scene.bank.remote import bank_folder
     from studies.downstream.suite_folder import DownstreamScale, SuiteFolder, need_extras

@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar
 
-from cluttergen_jax.evaluation.cells import (
+from cluttergen_jax.evaluation.comparison import (
     Column,
     figure_column,
     interval,
-    made_rows,
     number,
     request_columns,
     share_of,
     values_of,
 )
-from cluttergen_jax.evaluation.episodes import WITHIN
 from cluttergen_jax.evaluation.records import Figures, Row
+from cluttergen_jax.evaluation.runner import WITHIN
 from cluttergen_jax.statistics import wilson
+from studies.results import made_rows
 
 Value = TypeVar("Value")
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from cluttergen_jax.evaluation.cells import name_of, number, share_of, values_of
+from cluttergen_jax.evaluation.comparison import name_of, number, share_of, values_of
 from cluttergen_jax.evaluation.records import Row
 
 # The method that the sentences are about, and the same sampler without a network.

@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import Any, cast
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.cells import made_rows, values_of
-from cluttergen_jax.evaluation.machine import sentence
-from cluttergen_jax.evaluation.records import Origin, Result
+from cluttergen_jax.evaluation.comparison import values_of
+from cluttergen_jax.evaluation.records import RunInfo
 from cluttergen_jax.evaluation.store import FORMAT, json_bytes
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.tables import Table
 from studies.methods.table1 import IMPORTED
 from studies.rankings import OURS, TWIN, tally
+from studies.results import Result, made_rows, sentence
 from studies.study import Scale
 from studies.suites import STUDIES
 
@@ -82,7 +82,7 @@ def _how_made(result: Result) -> tuple[str, str, str]:
     return f"`{result['command']}`", date, f"{trials} trials a row, {where}{others}"
 
 
-def _when_and_where(origin: Origin | Result) -> tuple[str, str]:
+def _when_and_where(origin: RunInfo | Result) -> tuple[str, str]:
     if origin["machine"] is None:
         return "", "kept by an older version, which did not note when and where it made them"
     return origin["date"] or "", f"on {sentence(origin['machine'])}"

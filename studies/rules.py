@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.cells import request_of
+from cluttergen_jax.evaluation.comparison import request_of
 from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.trial import (
     RANDOM_ORDER,

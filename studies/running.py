@@ -11,9 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cluttergen_jax.assets.pool import find_pool, list_pools
-from cluttergen_jax.evaluation.cells import made_rows
-from cluttergen_jax.evaluation.machine import origin, origins_of
-from cluttergen_jax.evaluation.records import Measured, Result
+from cluttergen_jax.evaluation.records import origin
 from cluttergen_jax.evaluation.resolved import MissingCheckpointError
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import FORMAT
@@ -23,6 +21,7 @@ from studies.cells import is_failed
 from studies.downstream.suite_folder import SuiteFolder
 from studies.methods.table1 import IMPORTED, OBJECTS
 from studies.report import document, write_report
+from studies.results import Measured, Result, made_rows, origins_of
 from studies.study import Findings, Study
 from studies.suites import PlannedStudy
 

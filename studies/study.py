@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.evaluation.cells import Column, made_rows, table_of
-from cluttergen_jax.evaluation.records import Result, Row
+from cluttergen_jax.evaluation.comparison import Column, table_of
+from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.resolved import MissingRowError
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.trial import Trial
@@ -19,6 +19,7 @@ from cluttergen_jax.judging.scene_models import by_object
 from cluttergen_jax.placement.world import World
 from cluttergen_jax.tables import Table
 from studies.rankings import Question
+from studies.results import Result, made_rows
 from studies.rules import margin_of
 
 _LEAST_SCENES = 2
@@ -168,7 +169,7 @@ class Successes:
       world: the trial's; region: its queried region before any change.
       index: i64[N], which of the trial's scenes they are.
       poses: f64[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].
-      arrays: everything that was stored (`episodes.arrays_of`), failures included.
+      arrays: everything that was stored (`runner.arrays_of`), failures included.
     """
 
     world: World

@@ -28,17 +28,13 @@ if TYPE_CHECKING:
     from cluttergen_jax.learning.training.suite_run import SuiteReport
     from cluttergen_jax.learning.training.train import TrainConfig
 
-_WORLD = "where a policy learns in one world, of a whole pool on a support's own region"
-_RULES = "where the preset has the rules that a policy is trained by"
 _NOT_TAKEN = {
-    **dict.fromkeys(("objects", "repeat", "shelf", "weights", "balance"), _WORLD),
-    **dict.fromkeys(("surface", "region", "keep_out", "start"), _WORLD),
-    **dict.fromkeys(("containment", "order", "ruin_after", "budget", "min_margin"), _RULES),
-    **dict.fromkeys(("robust", "for_engine", "setting", "stability", "overhang"), _RULES),
+    **dict.fromkeys(("shelf", "weights", "balance"), "where a policy learns in one world"),
+    **dict.fromkeys(("keep_out", "start"), "where every episode begins on an empty support"),
+    "setting": "where rules that are not given are those of the preset",
     **dict.fromkeys(("height", *TARGETS, "clearance"), "of methods that are not trained"),
     "poses": "of which a policy, which sees clouds of upright objects, would know nothing",
     **dict.fromkeys(("method", "checkpoint"), "where `variant` says what is trained"),
-    "num_threads": "where every core is taken",
 }
 """Fields of a `SceneSpec` that training does not take, and why."""
 
@@ -122,12 +118,9 @@ def train(
     from cluttergen_jax.learning.training.train import TrainConfig, as_in_paper, run_training
 
     asked = spec_of(train, spec, options)
+    if asked.num_objects is None:
+        asked = replace(asked, num_objects=10)
     config = TrainConfig(
-        pool=asked.pool_text,
-        support=str(asked.support),
-        change=change,
-        num_objects=10 if asked.num_objects is None else asked.num_objects,
-        max_attempts=asked.max_attempts,
         preset=preset,
         variant=variant,
         num_attempts=num_attempts,
@@ -138,7 +131,6 @@ def train(
         encoder_weights=None if encoder_weights is None else str(encoder_weights),
         encoder_frozen=encoder_frozen,
         out=None if out is None else str(out),
-        engine=asked.engine,
         eval_every=eval_every,
         eval_episodes=eval_episodes,
         eval_action=eval_action,
@@ -148,15 +140,27 @@ def train(
     if variant == "guided":
         from cluttergen_jax.learning.training.guided import train_guided
 
-        _check_guided(config, {"paper": paper or None, "coordinator": coordinator})
+        given: dict[str, object] = {
+            name: value for name, value in asked.overrides().items() if name != "num_objects"
+        }
+        given["change"] = None if change == "none" else change
+        given["num_objects"] = None if asked.num_objects == 10 else asked.num_objects
+        given["paper"] = paper or None
+        _check_guided(config, given | {"coordinator": coordinator})
         return train_guided(num_attempts, seed, out, show)
+    # Which engine there is can be asked once all processes have met.
     join(coordinator, num_processes, process_id)
+    # Rules that are not given are the preset's.
+    problem = replace(asked, setting="paper").problem_config(None, asked.find_pool())
+    # All objects of the pool are in one world.
+    config = replace(config, problem=replace(problem, change=change, shelf=0))
     if paper:
         config = as_in_paper(config, show)
     return run_training(config, show=show)
 
 
-_OF_GUIDED = ("variant", "seed", "num_attempts", "out")
+# The problem is what the request's own fields ask for.
+_OF_GUIDED = ("variant", "seed", "num_attempts", "out", "problem")
 
 
 def _check_guided(config: TrainConfig, more: Mapping[str, object]) -> None:
@@ -223,9 +227,11 @@ def train_suite(
     """
     from cluttergen_jax.learning.training.suite_run import run_suite
     from cluttergen_jax.learning.training.train import TrainConfig
+    from cluttergen_jax.placement.problem import ProblemConfig
 
     root = Path(out or "runs")
     base = TrainConfig(
+        problem=ProblemConfig(engine=engine),
         preset=preset,
         num_attempts=num_attempts,
         num_envs=num_envs,
@@ -234,7 +240,6 @@ def train_suite(
         encoder_weights=None if encoder_weights is None else str(encoder_weights),
         encoder_frozen=encoder_frozen,
         out=str(root),
-        engine=engine,
         eval_every=eval_every,
         eval_episodes=eval_episodes,
         eval_action=eval_action,

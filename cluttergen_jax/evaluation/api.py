@@ -56,10 +56,10 @@ def evaluate(
     rules are not given each method has its own.
 
     Args:
-      methods: "random", "clear", "drop", "spread", "guided", and policies trained for the pool: "policy",
-        "beta_free", "normal", "open_loop" or "short_memory"; or your own, as the `method` of a `SceneSpec`.
-        If not given: the first five, and "policy" where one is embedded, of these all that can make what is
-        asked for.
+      methods: "random", "clear", "drop", "spread", "guided", "packed", "pile", and policies trained for the
+        pool: "policy", "beta_free", "normal", "open_loop" or "short_memory"; or your own, as the `method` of
+        a `SceneSpec`. If not given: the first five, and "policy" where one is embedded, of these all that can
+        make what is asked for.
       pools: names or folders, or several joined by +; dining if not given.
       supports: names or folders; "table-0.40x0.50" is a cuboid of that size, all of it the queried region.
       spec: what is asked for; its pool, support and method are rows where `pools`, `supports` and `methods`
@@ -92,9 +92,10 @@ def evaluate(
       BankError: another process writes to `out`.
     """
     from cluttergen_jax.cluster import cluster_of
-    from cluttergen_jax.evaluation.comparison import compare, open_runner
+    from cluttergen_jax.evaluation.comparison import compare
+    from cluttergen_jax.evaluation.runner import open_runner
     from cluttergen_jax.evaluation.trial import Trial
-    from cluttergen_jax.placement.methods.table import entry_of, find_method
+    from cluttergen_jax.placement.methods.table import find_method
 
     place = cluster_of(cluster, workers)
     check_folder(out)
@@ -111,12 +112,6 @@ def evaluate(
     if not methods and asked.method is not None:
         methods = (asked.method,)
     chosen = tuple(find_method(each) for each in methods)
-    if whole := [each for each in chosen if entry_of(each).is_whole]:
-        raise ConfigError(
-            f"method {whole[0]!r}, which places no objects that could be counted one by one",
-            "methods that place one object after another",
-            f"generate(method={whole[0]!r}), which tells how many scenes succeed",
-        )
     if asked.num_objects is None:
         asked = replace(asked, num_objects=10)
     number = _TRIALS if trials is None else trials

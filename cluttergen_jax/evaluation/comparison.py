@@ -1,32 +1,19 @@
-"""Methods side by side: the rows and the table of `cluttergen_jax.evaluate`."""
+"""Methods side by side: columns, cells and plots of rows, and what `cluttergen_jax.evaluate` returns."""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.evaluation import plots
-from cluttergen_jax.evaluation.cells import (
-    SPEED,
-    SUCCESS,
-    Column,
-    figure_column,
-    name_of,
-    number,
-    request_columns,
-    share,
-    table_of,
-)
 from cluttergen_jax.evaluation.records import Row
-from cluttergen_jax.evaluation.resolved import Checkpoints
 from cluttergen_jax.evaluation.runner import Runner
-from cluttergen_jax.evaluation.store import Store, json_bytes
+from cluttergen_jax.evaluation.store import json_bytes
 from cluttergen_jax.evaluation.trial import Trial, trial_of
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.tables import Table
@@ -94,28 +81,6 @@ def compare(runner: Runner, trials: Sequence[Trial], folder: Path | None) -> Com
     return found
 
 
-def open_runner(
-    folder: Path | None,
-    trials: Sequence[Trial],
-    checkpoint: str | Path | None,
-    checkpoints: str | Path | None,
-    engine: str,
-    num_threads: int,
-    fresh: bool,
-) -> Runner:
-    """A runner that knows how much is left to do; what cannot be found is said before anything runs."""
-    where = Checkpoints(
-        folder=None if checkpoints is None else Path(checkpoints),
-        path=None if checkpoint is None else Path(checkpoint),
-    )
-    runner = Runner(Store(folder and folder / "results"), where, engine, num_threads, fresh)
-    runner.plan(trials)
-    if folder is not None:
-        # Before hours of work: a place that cannot be written to.
-        folder.mkdir(parents=True, exist_ok=True)
-    return runner
-
-
 def _flat(row: Row) -> dict[str, Any]:
     """A row with its figures beside what its trial asks."""
     trial = row["trial"]
@@ -150,22 +115,185 @@ def _draw(rows: Sequence[dict[str, Any]], stem: Path) -> None:
     """A panel for each pool on each support: success of each row with its interval."""
     made = [row for row in rows if row["missing"] is None]
     places = list(dict.fromkeys((row["pool"], row["support"]) for row in made))
-    figure, axes = plots.grid_of_panels(len(places), 3, 3.4, 2.4)
+    figure, axes = grid_of_panels(len(places), 3, 3.4, 2.4)
     for axis, place in zip(axes, places, strict=True):
         bars = [row for row in made if (row["pool"], row["support"]) == place]
         y = np.array([row["success"] for row in bars])
         ends = np.array([[row["low95"], row["high95"]] for row in bars]).T
-        colours = [plots.colour(row["method"]) for row in bars]
+        colours = [colour(row["method"]) for row in bars]
         axis.bar(range(len(bars)), y, yerr=np.abs(ends - y), color=colours, capsize=2)
         axis.set_xticks(range(len(bars)), [row["row"] for row in bars], rotation=30, ha="right")
         axis.set_ylim(0, 1.03)
         axis.set_axisbelow(True)
-        plots.prepare(
-            axis, f"{place[0]} on {place[1]}, {bars[0]['objects']} objects", "", "success"
-        )
-    plots.save(figure, stem, ("png",))
+        prepare(axis, f"{place[0]} on {place[1]}, {bars[0]['objects']} objects", "", "success")
+    save(figure, stem, ("png",))
 
 
 def _effort(row: Row) -> str:
     figures = row["figures"]
     return number(figures["attempts_per_valid_scene"]) if figures["success"] else "-"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A heading, and what a row shows below it.
+
+    Attributes:
+      cell: the row's text.
+      is_asked: known before the row is made, and so shown where its figures are missing, too.
+    """
+
+    heading: str
+    cell: Callable[[Row], str]
+    is_asked: bool = False
+
+
+def request_columns(*names: str, **headings: str) -> tuple[Column, ...]:
+    """Columns of what a row's trial asks; `headings` names some otherwise than their field."""
+
+    def column(name: str, heading: str) -> Column:
+        cell = name_of if name == "method" else lambda row: str(request_of(row)[name])
+        return Column(heading, cell, is_asked=True)
+
+    return (
+        *(column(n, n) for n in names),
+        *(column(n, heading) for n, heading in headings.items()),
+    )
+
+
+def request_of(row: Row) -> Mapping[str, Any]:
+    """What a row asked: rows of findings have it beside what was found."""
+    return row.get("trial", row)
+
+
+def name_of(row: Row) -> str:
+    """A row's method, and what sets its rules apart; rows of findings have it by name."""
+    return trial_of(row).row_name if "trial" in row else row["method"]
+
+
+def table_of(
+    title: str, columns: Sequence[Column], rows: Iterable[Row], notes: Iterable[str] = ()
+) -> Table:
+    """A line for each row; where figures are missing it has dashes, and a note below says why."""
+    rows = list(rows)
+    lines = (
+        tuple(each.cell(row) if "missing" not in row or each.is_asked else "-" for each in columns)
+        for row in rows
+    )
+    why = dict.fromkeys(missing(row) for row in rows if "missing" in row)
+    return Table(title, tuple(each.heading for each in columns), tuple(lines), (*notes, *why))
+
+
+def share(value: float | None) -> str:
+    """A proportion with three digits."""
+    return "-" if value is None else f"{value:.3f}"
+
+
+def interval(value: float, low: float, high: float) -> str:
+    """A proportion with its 95 % interval."""
+    return f"{value:.3f} [{low:.3f}, {high:.3f}]"
+
+
+def share_of(row: Mapping[str, Any], name: str = "success") -> str:
+    """A row's proportion with its own interval."""
+    return interval(row[name], row["low95"], row["high95"])
+
+
+def number(value: float | None, digits: int = 1, scale: float = 1.0) -> str:
+    """A figure times `scale`; a dash where there is none."""
+    return "-" if value is None else f"{value * scale:,.{digits}f}"
+
+
+def figure_column(heading: str, name: str, digits: int = 1) -> Column:
+    """A column of one of a row's `figures`."""
+    return Column(heading, lambda row: number(values_of(row["figures"]).get(name), digits))
+
+
+def values_of(row: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A row or its figures, to be read by names that are not written out."""
+    return row
+
+
+SUCCESS = Column("success [95 %]", lambda row: share_of(row["figures"]))
+SPEED = figure_column("valid scenes per CPU-second", "valid_scenes_per_cpu_second")
+
+
+def missing(row: Row) -> str:
+    """Why there is no figure, and what to do about it.
+
+    What a trial lacks names itself; how few of its scenes succeed is said of which.
+    """
+    if hint := row.get("hint"):
+        return f"{row['missing']}; try: {hint}"
+    request = request_of(row)
+    named = [str(request[name]) for name in ("pool", "support", "method") if name in request]
+    return f"{', '.join(named)}: {row['missing']}" if named else row["missing"]
+
+
+COLOURS = {
+    "random": "#8a8f98",
+    "clear": "#4d9078",
+    "drop": "#2f5d62",
+    "open_loop": "#c9a227",
+    "short_memory": "#b5651d",
+    "normal": "#7b5ea7",
+    "beta_free": "#e07b39",
+    "policy": "#c8102e",
+    "spread": "#17a2a2",
+    "guided": "#1f3fb4",
+}
+"""Of methods, the same in every plot."""
+
+
+def colour(name: str) -> str:
+    """The colour of a row's method; black for one that has none."""
+    return COLOURS.get(method_of(name), "#111111")
+
+
+def method_of(name: str) -> str:
+    """Of what tables call a row (`trial.row_name`)."""
+    return name.partition(", ")[0]
+
+
+def new_figure(width: float, height: float) -> Any:
+    """An empty figure, sides in inches."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save(figure: Any, stem: Path, endings: tuple[str, ...] = ("png", "pdf")) -> list[str]:
+    """Writes STEM.png and STEM.pdf, or what else is asked for; returns their names."""
+    names = []
+    for ending in endings:
+        buffer = io.BytesIO()
+        # Without a date, equal plots are equal files.
+        metadata = {"CreationDate": None} if ending == "pdf" else {"Software": None}
+        figure.savefig(buffer, format=ending, dpi=130, metadata=metadata)
+        path = stem.with_name(f"{stem.name}.{ending}")
+        write_atomically(path, buffer.getvalue())
+        names.append(path.name)
+    return names
+
+
+def prepare(axis: Any, title: str, x: str, y: str = "") -> None:
+    """The look that all panels share."""
+    axis.set_title(title, fontsize=9)
+    axis.set_xlabel(x, fontsize=8)
+    axis.set_ylabel(y, fontsize=8)
+    axis.tick_params(labelsize=7)
+    axis.grid(alpha=0.25, linewidth=0.6)
+
+
+def grid_of_panels(number: int, columns: int, width: float, height: float) -> tuple[Any, list[Any]]:
+    """A figure of `number` panels in rows of `columns`, each so many inches large."""
+    columns = min(columns, number)
+    rows = -(-number // columns)
+    figure = new_figure(columns * width, rows * height)
+    axes = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
+    for axis in axes[number:]:
+        axis.set_visible(False)
+    return figure, axes[:number]

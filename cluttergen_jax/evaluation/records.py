@@ -1,14 +1,21 @@
-"""What evaluation stores as JSON: rows of trials and of findings, and results of studies."""
+"""What evaluation stores as JSON: rows of trials and of findings; when, where and by what they were made."""
 
 from __future__ import annotations
 
+import datetime
+import os
+import platform
 from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
 from typing import Any, TypedDict
 
+import jax
+
 Share = Mapping[str, float | None]
-"""`share`, or `success`, with its 95 % interval, `low95` and `high95` (`proportions.proportion`)."""
+"""`share`, or `success`, with its 95 % interval, `low95` and `high95` (`statistics.proportion`)."""
 Spread = Mapping[str, Any]
-"""`proportions.spread_of`."""
+"""`statistics.spread_of`."""
 
 
 class Machine(TypedDict):
@@ -21,7 +28,7 @@ class Machine(TypedDict):
     versions: dict[str, str]
 
 
-class Origin(TypedDict):
+class RunInfo(TypedDict):
     """When and where something was made; None where an older version did not note it."""
 
     date: str | None
@@ -29,7 +36,7 @@ class Origin(TypedDict):
 
 
 class Figures(TypedDict, total=False):
-    """What became of a trial's episodes (`episodes.figures_of`); `paper` by the paper's looser count."""
+    """What became of a trial's episodes (`runner.figures_of`); `paper` by the paper's looser count."""
 
     trials: int
     num_success: int
@@ -126,31 +133,38 @@ class Row(TypedDict, total=False):
     checked: float | None
 
 
-class Measured(TypedDict):
-    """What a study's measure found (`studies.study.Findings`)."""
-
-    rows: list[Row]
-    pictures: list[str]
-    notes: list[str]
+_PACKAGES = ("cluttergen_jax", "mujoco", "mujoco-mjx", "jax")
 
 
-class Result(TypedDict, total=False):
-    """A study's result; of a study with `brings_tables` it has its `tables`."""
+def versions() -> dict[str, str]:
+    """Versions that results depend on."""
+    return {name: version(name) for name in _PACKAGES}
 
-    format: int
-    suite: str
-    name: str
-    title: str
-    place: int
-    command: str
-    quick: bool
-    size: int
-    trials: list[int]
-    date: str | None
-    machine: Machine | None
-    also_made: list[Origin]
-    records: list[Row]
-    measure: Measured | None
-    pictures: list[str]
-    tables: list[Mapping[str, Any]]
-    earlier: list[Result]
+
+def machine() -> Machine:
+    """Cores, model of the processor, accelerator, and versions."""
+    devices = jax.devices()
+    return {
+        "cores": len(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else os.cpu_count(),
+        "cpu": cpu_model(),
+        "accelerator": devices[0].device_kind if devices[0].platform != "cpu" else None,
+        "python": platform.python_version(),
+        "versions": versions(),
+    }
+
+
+def origin() -> RunInfo:
+    """When and where something is made: `date` and `machine` of now and here."""
+    return {"date": datetime.datetime.now(datetime.UTC).date().isoformat(), "machine": machine()}
+
+
+def cpu_model() -> str:
+    """The processor's name, or as much as the system tells."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()

@@ -13,20 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.assets.object_files import object_hash
+from cluttergen_jax.assets import Rectangle, SupportAsset, find_support, object_hash
 from cluttergen_jax.assets.pool import Pool, find_pool
-from cluttergen_jax.assets.support import Rectangle, SupportAsset
-from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.config import (
-    ROBUST_TILT,
-    StabilityConfig,
-    no_such,
-    stability_record,
-)
+from cluttergen_jax.config import ROBUST_TILT, StabilityConfig, no_such, stability_record
 from cluttergen_jax.errors import ClutterGenError, ConfigError, PoolError
-from cluttergen_jax.evaluation.machine import versions
+from cluttergen_jax.evaluation.records import versions
 from cluttergen_jax.evaluation.trial import Trial, key_of
-from cluttergen_jax.learning.methods import checkpoint_of
+from cluttergen_jax.learning import checkpoint_of
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpoint
 from cluttergen_jax.learning.policies.embedded import FOR_ANY_POOL
 from cluttergen_jax.learning.training.suite import (
@@ -39,7 +32,6 @@ from cluttergen_jax.learning.training.worlds import HELD_OUT_FAMILIES, TRAINING_
 from cluttergen_jax.placement.methods.table import LEARNED, METHODS, OwnMethod, entry_of
 from cluttergen_jax.placement.problem import ProblemConfig, Standing
 from cluttergen_jax.scene.bank.reference import read_start
-from cluttergen_jax.spec import CROWD, MOST_ON_SHELF
 
 VARIANT_POOLS = {"held_out_families": HELD_OUT_FAMILIES, "training_families": TRAINING_FAMILIES}
 """Names of pools of the modeller's variants, which no folder holds, and the families of their objects."""
@@ -352,8 +344,6 @@ class Resolver:
             sources["method"] = trial.method.digest
         if trial.spec.robust:
             sources["robust"] = stability_record(StabilityConfig(robust_tilt=ROBUST_TILT))
-        if _differs_from_earlier(trial, len(pool)):
-            sources["as_generated"] = True
         if standing is not None:
             sources["start"] = _standing_hash(standing)
         return ResolvedTrial(
@@ -365,15 +355,6 @@ class Resolver:
             key_of(trial, sources),
             standing,
         )
-
-
-def _differs_from_earlier(trial: Trial, num_objects: int) -> bool:
-    """Whether earlier versions, which had rules of their own for rows, made other scenes than `generate`."""
-    spec = trial.spec
-    is_crowd = trial.num_objects > CROWD and bool(spec.ruin_after)
-    is_drawn = num_objects > MOST_ON_SHELF
-    is_turned = spec.poses == "any" or (spec.poses == "resting" and spec.setting != "paper")
-    return is_crowd or is_drawn or is_turned or entry_of(trial.method).limits_stack
 
 
 def _standing_hash(standing: Standing) -> str:

@@ -1,29 +1,28 @@
-"""The runner of trials: makes and keeps their rows, with worlds and compiled programs made once."""
+"""The runner of trials: runs their episodes, makes and keeps their rows; worlds and programs are made once.
+
+A row has figures, plain JSON, of what became of its episodes, every attempt of which is logged.
+"""
 
 from __future__ import annotations
 
+import time
 from collections import OrderedDict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
+from flax import struct
 
 from cluttergen_jax.assets.support_map import check_region
 from cluttergen_jax.cluster import Cluster, each_on
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.errors import ClutterGenError, ConfigError
-from cluttergen_jax.evaluation.episodes import (
-    Outcome,
-    arrays_of,
-    attempts_of,
-    figures_of,
-    run_episodes,
-    run_shelves,
-)
-from cluttergen_jax.evaluation.machine import origin
-from cluttergen_jax.evaluation.records import Row
+from cluttergen_jax.evaluation.records import Figures, Row, Share, Spread, origin
 from cluttergen_jax.evaluation.resolved import (
     Checkpoints,
     MissingCheckpointError,
@@ -34,17 +33,22 @@ from cluttergen_jax.evaluation.resolved import (
 )
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.learning.methods import proposer_of, with_history_of
+from cluttergen_jax.learning.methods import Method, block_sampler_of, with_history_of
+from cluttergen_jax.numerics import new_key
 from cluttergen_jax.physics import engine_of, make_physics
 from cluttergen_jax.physics.host import NumberedEngines, Physics
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.placement.boxes import footprint_area
 from cluttergen_jax.placement.problem import Problem, ProblemConfig, Setup, make_setup
-from cluttergen_jax.placement.rollout import BlockSampler, Rollout
+from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, Rollout, blocks_of
 from cluttergen_jax.placement.room import area_asked, check_surface
+from cluttergen_jax.placement.scenes import SceneBatch
 from cluttergen_jax.placement.shelves import Shelves
+from cluttergen_jax.placement.types import Episode, Transition
 from cluttergen_jax.placement.world import World
 from cluttergen_jax.progress import Progress, interruptible
+from cluttergen_jax.statistics import proportion, spread_of, wilson
+from cluttergen_jax.types import Array, Verdict
 
 _KEPT_SETUPS = 4
 
@@ -58,7 +62,7 @@ class Runner:
       checkpoints: where policies are.
       engine: "auto", "native", "warp" or "jax"; num_threads: of the native engine, 0 for every core.
       is_fresh: do not use rows that were kept.
-      measured_at: when and where the findings that `measure` has returned were made (`machine.origin`).
+      measured_at: when and where the findings that `measure` has returned were made (`records.origin`).
       errors: why rows could not be made, in the order in which they were asked for.
     """
 
@@ -126,7 +130,7 @@ class Runner:
         """The trial's row: from disk, or made now.
 
         Returns:
-          `trial`, `sources`, `policy`, `figures` (`episodes.figures_of`; `paper` among them is the looser
+          `trial`, `sources`, `policy`, `figures` (`figures_of`; `paper` among them is the looser
           count), and `date` and `machine` of its making, which rows of older versions lack; or `trial`,
           `missing` and `hint` if it cannot be made: its checkpoint is missing, its pool has too few objects.
         """
@@ -221,7 +225,7 @@ class Runner:
         )
 
     def arrays(self, trial: Trial) -> dict[str, np.ndarray]:
-        """The scenes and attempts of a trial (`episodes.arrays_of`), made now if they are not there.
+        """The scenes and attempts of a trial (`arrays_of`), made now if they are not there.
 
         Raises:
           MissingRowError: they cannot be made; most often its policy has not been trained.
@@ -259,7 +263,7 @@ class Runner:
         self.say(f"{title}: done")
         return figures
 
-    def run(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> Outcome:
+    def run(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> EpisodeOutcomes:
         """The trial's episodes, whatever was kept: scene i is that of `generate` with the trial's seed."""
         trial = resolved.trial
         config = self._config(resolved, judge_neighbours)
@@ -301,12 +305,13 @@ class Runner:
             config=config,
             history_steps=stability.decision_step if is_longer else None,
         )
-        with usable(resolved.checkpoint, trial):
-            propose = proposer_of(trial.method, resolved.checkpoint, rules)
         # What is compiled for episodes that begin with nothing is shared by all of them.
         is_bare = not trial.spec.keep_out and resolved.standing is None
         begins = (None, None) if is_bare else (setup.keep_out, setup.start)
-        return BlockSampler(rules, propose, *begins)
+        method = Method(trial.method, resolved.checkpoint)
+        with usable(resolved.checkpoint, trial):
+            sampler = block_sampler_of(method, rules, *begins)
+        return sampler
 
     def setup(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> Problem:
         """The trial's compiled world and rules, ready for what is compiled already."""
@@ -314,7 +319,8 @@ class Runner:
         config = self._config(resolved, judge_neighbours)
         if config.shelf:
             return base
-        rules = replace(base.rules, physics=self._physics(base.world, config.stability))
+        physics = self._physics(base.world, config)
+        rules = replace(base.rules, physics=physics)
         return replace(base, config=replace(base.config, stability=config.stability), rules=rules)
 
     def world(self, resolved: ResolvedTrial) -> World:
@@ -329,12 +335,13 @@ class Runner:
         area = area_asked(problem.config, problem.world.support) or width * depth
         return float(np.mean(areas) * resolved.trial.num_objects / area)
 
-    def _physics(self, world: World, stability: StabilityConfig) -> Physics:
+    def _physics(self, world: World, config: ProblemConfig) -> Physics:
         """The engine of a world. Worlds of equal sizes share what is compiled around a native one.
 
         A shared one drives the world asked for last: one is at work at a time.
         """
-        engine = make_physics(world.layout, stability, self.engine, self.num_threads)
+        stability = config.stability
+        engine = make_physics(world.layout, stability, config.engine, self.num_threads)
         if not isinstance(engine, NativePhysics):
             return engine
         sizes = (world.num_objects, stability)
@@ -348,13 +355,15 @@ class Runner:
     def _config(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> ProblemConfig:
         """The trial's problem on the runner's engine, judged as its method and its count ask."""
         trial = resolved.trial
-        config = replace(resolved.config, engine=self.engine, num_threads=self.num_threads)
+        # Piles are made by the native engine alone.
+        engine = "native" if resolved.config.is_piled else self.engine
+        config = replace(resolved.config, engine=engine, num_threads=self.num_threads)
         stability = replace(
             config.stability,
             stop_when_decided=resolved.is_cut and not trial.whole_attempts,
             judge_neighbours=judge_neighbours,
         )
-        has_two = engine_of(self.engine, stability) == "native"
+        has_two = engine_of(engine, stability) == "native"
         is_asked = trial.spec.setting != "paper"
         return replace(config, stability=replace(stability, both_detectors=is_asked and has_two))
 
@@ -402,6 +411,28 @@ class Runner:
         return self._drawn[1]
 
 
+def open_runner(
+    folder: Path | None,
+    trials: Sequence[Trial],
+    checkpoint: str | Path | None,
+    checkpoints: str | Path | None,
+    engine: str,
+    num_threads: int,
+    fresh: bool,
+) -> Runner:
+    """A runner that knows how much is left to do; what cannot be found is said before anything runs."""
+    where = Checkpoints(
+        folder=None if checkpoints is None else Path(checkpoints),
+        path=None if checkpoint is None else Path(checkpoint),
+    )
+    runner = Runner(Store(folder and folder / "results"), where, engine, num_threads, fresh)
+    runner.plan(trials)
+    if folder is not None:
+        # Before hours of work: a place that cannot be written to.
+        folder.mkdir(parents=True, exist_ok=True)
+    return runner
+
+
 @dataclass(frozen=True)
 class RowMaker:
     """Makes rows in another process, which finds what trials name as this one does; see `Runner`."""
@@ -422,3 +453,276 @@ class RowMaker:
                 return resolved.key, error
 
         return make
+
+
+_WIDTHS = (16, 64, BLOCK_SIZE)
+"""Few, so that programs are shared; wide enough for what is asked."""
+
+
+class Attempts(struct.PyTreeNode):
+    """Attempts in the order in which they were made. M attempts.
+
+    Attributes:
+      scene, slot, object_index, ordinal: i32[M], as of `Transition`; the first of an object's turn is 1.
+      steps: i32[M], simulated; is_stable: bool[M].
+      action: f32[M, 4], what was proposed.
+      is_made: bool[M]; on the host, all of them.
+    """
+
+    scene: Array
+    slot: Array
+    object_index: Array
+    ordinal: Array
+    steps: Array
+    is_stable: Array
+    action: Array
+    is_made: Array
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeOutcomes:
+    """What became of N episodes.
+
+    Attributes:
+      scenes: NumPy arrays with a leading axis N.
+      attempts: all of them.
+      seconds, cpu_seconds: wall and process time of sampling, compilation left out.
+      compile_seconds: wall time of tracing, compilation and a step in which no attempt is made.
+    """
+
+    scenes: SceneBatch
+    attempts: Attempts
+    seconds: float
+    cpu_seconds: float
+    compile_seconds: float
+
+
+def width_of(num_scenes: int) -> int:
+    """How many episodes are run side by side."""
+    return next(each for each in _WIDTHS if each >= min(num_scenes, BLOCK_SIZE))
+
+
+def run_episodes(
+    rollout: Rollout,
+    sampler: BlockSampler,
+    num_scenes: int,
+    seed: int,
+    on_done: Callable[[int], None] = lambda number: None,
+) -> EpisodeOutcomes:
+    """Scenes 0 to num_scenes - 1 of `seed`: those of `rollout.sample_blocks`, with a log of attempts.
+
+    Args:
+      rollout: one that sees `attempts_of` each step.
+      on_done: told how many more episodes are over.
+    """
+    width = width_of(num_scenes)
+    started = time.perf_counter()
+    key = new_key(seed)
+    rollout.compile(sampler, key, np.arange(width), is_refilled=num_scenes > width)
+    compiled = time.perf_counter()
+    cpu = time.process_time()
+    made: list[Attempts] = []
+
+    note = partial(_note, made, on_done)
+    scenes = rollout.run_all(sampler, key, num_scenes, width, note)
+    return EpisodeOutcomes(
+        scenes=scenes,
+        attempts=jax.tree.map(lambda *leaves: np.concatenate(leaves), *made),
+        seconds=time.perf_counter() - compiled,
+        cpu_seconds=time.process_time() - cpu,
+        compile_seconds=compiled - started,
+    )
+
+
+def run_shelves(
+    rollout: Rollout,
+    sampler_of: Callable[[int], tuple[BlockSampler, np.ndarray]],
+    num_scenes: int,
+    seed: int,
+    on_done: Callable[[int], None] = lambda number: None,
+) -> EpisodeOutcomes:
+    """`run_episodes` in worlds of which each block has its own.
+
+    Args:
+      sampler_of: gives a block's sampler, and i32[K], the numbers of its objects in the pool: `object_index`
+        of what is returned is about the pool.
+    """
+    outcomes = []
+    for block, rows in blocks_of(num_scenes):
+        sampler, numbers = sampler_of(block)
+        place = np.arange(BLOCK_SIZE)
+        indices = block * BLOCK_SIZE + place
+        started = time.perf_counter()
+        key = new_key(seed)
+        rollout.compile(sampler, key, indices, is_refilled=False)
+        compiled = time.perf_counter()
+        cpu = time.process_time()
+        made: list[Attempts] = []
+        # A block is run to its end before the next one's world is made.
+        note = partial(_note, made, on_done, indices)
+        scenes = rollout.run(sampler, key, indices, place < rows, note)
+        scenes = jax.tree.map(lambda leaf, rows=rows: leaf[:rows], scenes)
+        attempts = jax.tree.map(lambda *leaves: np.concatenate(leaves), *made)
+        index = np.asarray(scenes.object_index)
+        scenes = scenes.replace(object_index=np.where(index < 0, -1, numbers[index]))
+        attempts = attempts.replace(object_index=numbers[attempts.object_index])
+        seconds = time.perf_counter() - compiled
+        outcomes.append(
+            EpisodeOutcomes(
+                scenes, attempts, seconds, time.process_time() - cpu, compiled - started
+            )
+        )
+    join = partial(jax.tree.map, lambda *leaves: np.concatenate(leaves))
+    return EpisodeOutcomes(
+        scenes=join(*(each.scenes for each in outcomes)),
+        attempts=join(*(each.attempts for each in outcomes)),
+        seconds=sum(each.seconds for each in outcomes),
+        cpu_seconds=sum(each.cpu_seconds for each in outcomes),
+        compile_seconds=sum(each.compile_seconds for each in outcomes),
+    )
+
+
+def _note(
+    made: list[Attempts],
+    on_done: Callable[[int], None],
+    indices: np.ndarray,
+    number: int,
+    attempts: Attempts,
+) -> None:
+    """Keeps the attempts of a step, with the scenes in whose episodes they were made."""
+    attempts = attempts.replace(scene=indices.astype(np.int32))
+    made.append(jax.tree.map(lambda leaf: leaf[attempts.is_made], attempts))
+    on_done(number)
+
+
+def attempts_of(before: Episode, after: Episode, transition: Transition) -> Attempts:
+    """What is logged of a step; which scenes its episodes are, is filled in later."""
+    return Attempts(
+        scene=transition.slot,
+        slot=transition.slot,
+        object_index=transition.object_index,
+        ordinal=transition.ordinal,
+        steps=transition.settling.num_steps,
+        is_stable=transition.verdict == Verdict.STABLE,
+        action=transition.action,
+        is_made=transition.is_made,
+    )
+
+
+LEAST_ATTEMPTS = 3
+"""Placements that needed fewer say nothing about attempts (paper, figure on stable steps)."""
+
+
+def figures_of(outcome: EpisodeOutcomes, has_last_check: bool = True) -> Figures:
+    """Success, objects placed, attempts, steps and speed of one run.
+
+    Args:
+      has_last_check: success means that the finished scene stands; else that every slot was filled, which is
+        all that the paper's looser count asks.
+    """
+    scenes = outcome.scenes
+    counts = outcome.scenes.counts
+    good = scenes.is_success if has_last_check else scenes.is_filled
+    number = len(good)
+    valid = int(good.sum())
+    low, high = wilson(valid, number)
+    placed = scenes.is_placed.sum(1)
+    num_slots = scenes.is_placed.shape[1]
+    simulated = int(counts.simulated_steps.sum())
+    return {
+        "trials": number,
+        "num_success": valid,
+        "success": valid / number,
+        "low95": low,
+        "high95": high,
+        "filled": float(scenes.is_filled.mean()),
+        "placed": float(placed.mean()),
+        "placed_histogram": np.bincount(placed, minlength=num_slots + 1).tolist(),
+        "attempts": int(counts.attempts.sum()),
+        "within": within(good, counts.attempts.sum(1), num_slots),
+        "attempts_per_valid_scene": per_scene(int(counts.attempts.sum()), valid),
+        "attempts_histogram": np.bincount(counts.attempts[scenes.is_placed], minlength=2).tolist(),
+        "simulated_steps": simulated,
+        "simulated_steps_per_valid_scene": per_scene(simulated, valid),
+        "stack": spread_of(np.sum(np.asarray(scenes.level) > 0, axis=1)[good]),
+        "stable_steps": spread_of(counts.steps[scenes.is_placed]),
+        "rest_steps": spread_of(counts.rest_steps[scenes.is_placed]),
+        "steps_by_attempt": steps_by_attempt(outcome.attempts),
+        "verdicts": {Verdict(code).label: int(n) for code, n in enumerate(counts.verdicts.sum(0))},
+        "num_crept": int((scenes.verdict == Verdict.CREPT).sum()),
+        "seconds": outcome.seconds,
+        "cpu_seconds": outcome.cpu_seconds,
+        "compile_seconds": outcome.compile_seconds,
+        "valid_scenes_per_second": valid / outcome.seconds,
+        "valid_scenes_per_cpu_second": valid / outcome.cpu_seconds if outcome.cpu_seconds else None,
+    }
+
+
+def per_scene(total: int, num_scenes: int) -> float | None:
+    """What each scene has cost; None where there is none."""
+    return total / num_scenes if num_scenes else None
+
+
+WITHIN = (1.0, 1.5, 5.0)
+"""Attempts in all, in objects of a scene, within which scenes are counted as finished."""
+
+
+def within(is_good: np.ndarray, attempts: np.ndarray, num_objects: int) -> list[Share]:
+    """Scenes that were finished with few attempts, rejected ones included.
+
+    Args:
+      is_good: bool[N], scenes that succeeded; attempts: i[N], of each scene in all.
+
+    Returns:
+      For each of `WITHIN`: `times`, `share` and its 95 % interval, `low95` and `high95`.
+    """
+    return [
+        {"times": each, **proportion(is_good & (attempts <= each * num_objects))} for each in WITHIN
+    ]
+
+
+def steps_by_attempt(attempts: Attempts) -> list[Spread]:
+    """Steps of the first attempt, the second and so on, over placements that took at least three.
+
+    A placement is a turn of an object that ended with it in place.
+
+    Returns:
+      One entry per attempt number: `attempt` and the spread of steps.
+    """
+    if not len(attempts.scene):
+        return []
+    # Turns of one object after another: a slot may have several, where objects are taken away again.
+    order = np.argsort(attempts.scene, kind="stable")
+    turn = np.empty(len(order), np.int64)
+    turn[order] = np.cumsum(attempts.ordinal[order] == 1)
+    size = int(turn.max()) + 1
+    is_filled = np.zeros(size, bool)
+    is_filled[turn[attempts.is_stable]] = True
+    is_long = np.bincount(turn, minlength=size) >= LEAST_ATTEMPTS
+    chosen = (is_filled & is_long)[turn]
+    most = int(attempts.ordinal[chosen].max(initial=0))
+    return [
+        {"attempt": number, **spread_of(attempts.steps[chosen & (attempts.ordinal == number)])}
+        for number in range(1, most + 1)
+    ]
+
+
+def arrays_of(outcome: EpisodeOutcomes) -> dict[str, np.ndarray]:
+    """What measures of scenes need, to be stored beside the figures. N scenes, S slots, M attempts."""
+    scenes = outcome.scenes
+    attempts = outcome.attempts
+    return {
+        "object_index": scenes.object_index,
+        "is_placed": scenes.is_placed,
+        "poses": scenes.poses,
+        "level": scenes.level,
+        "is_success": scenes.is_success,
+        "is_filled": scenes.is_filled,
+        "attempt_scene": attempts.scene,
+        "attempt_slot": attempts.slot,
+        "attempt_object": attempts.object_index,
+        "attempt_ordinal": attempts.ordinal,
+        "attempt_steps": attempts.steps,
+        "attempt_is_stable": attempts.is_stable,
+        "attempt_action": attempts.action,
+    }

@@ -107,7 +107,7 @@ class Store:
         """Stores a finding that has no scenes of its own. Returns the figures as they were stored.
 
         Args:
-          made: when and where it was (`machine.origin`), stored beside the figures.
+          made: when and where it was (`records.origin`), stored beside the figures.
         """
         if self.root is not None:
             stored = {"format": FORMAT, "key": key, **(made or {}), "figures": figures}

@@ -30,7 +30,7 @@ _PAPERS = SceneSpec(method="random", num_objects=10, setting="paper")
 _PLACE = ("objects", "shelf", "weights", "balance", "surface", "keep_out", "start")
 """Fields of a request that say what is placed where."""
 _RULES = ("natural", "relations", "roles", "overhang", "containment", "for_engine", "clearance")
-"""Fields that say by which rules, of which rows that were kept by earlier versions know nothing."""
+"""Fields that say by which rules, beside those that every row has."""
 _NUMBER = r"(?:\d+\.?\d*|\.\d+)"
 _SIDES = re.compile(f"{_NUMBER}x{_NUMBER}")
 _MOST_TOLD = 40
@@ -134,7 +134,7 @@ class Trial:
     def fields(self) -> dict[str, Any]:
         """All of it as plain JSON, by the names of rows, which `trial_of` reads.
 
-        What earlier versions did not know is there where it is given.
+        Fields that few rows ask for (`_PLACE`, `_RULES`) are there where they are given.
         """
         spec = self.spec
         usual = {
@@ -286,12 +286,8 @@ def key_of(trial: Trial, sources: dict[str, Any]) -> str:
       sources: hashes of what the trial names (pool, support, checkpoint) and versions.
     """
     asked = trial.fields()
-    usual = Trial().fields()
-    names = list(usual)
-    # Pools and supports by their hashes; the later settings only where they are not the usual ones.
-    later = names[names.index("min_margin") :]
-    left_out = {"pool", "support", *(name for name in later if asked[name] == usual[name])}
-    told = {name: value for name, value in asked.items() if name not in left_out}
+    # Pools and supports are told by their hashes.
+    told = {name: value for name, value in asked.items() if name not in ("pool", "support")}
     text = json.dumps({"trial": told, "sources": sources}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:20]
 

@@ -10,11 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets import SupportAsset
 from cluttergen_jax.assets.support_map import top_bounds_of
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement.region import KeepOut, Region
-from cluttergen_jax.placement.types import Start
+from cluttergen_jax.placement import KeepOut, Region, Start
 from cluttergen_jax.types import Array
 
 _ROUNDING = 1e-5

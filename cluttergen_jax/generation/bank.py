@@ -13,17 +13,15 @@ import numpy as np
 import pyarrow as pa
 from flax import struct
 
-from cluttergen_jax.config import ContactConfig, StabilityConfig, check_range
+from cluttergen_jax.config import check_range
 from cluttergen_jax.errors import BankError, ConfigError, range_text
 from cluttergen_jax.generation.arguments import check_key, is_known
 from cluttergen_jax.generation.bank_world import BankAttachment, attach_bank
 from cluttergen_jax.numerics import with_own_settings
-from cluttergen_jax.placement.region import from_pose
-from cluttergen_jax.scene import Scene, SceneCollection
-from cluttergen_jax.scene.bank import Bank, read_bank
+from cluttergen_jax.placement import from_pose
+from cluttergen_jax.scene import Bank, Scene, SceneCollection, read_bank, scene_cameras
 from cluttergen_jax.scene.bank.hub import find_bank
-from cluttergen_jax.scene.bank.scene import SceneArrayReader, SceneArrays, config_of, join_scenes
-from cluttergen_jax.scene.cameras import scene_cameras
+from cluttergen_jax.scene.bank.scene import SceneArrayReader, SceneArrays, join_scenes, rules_of
 from cluttergen_jax.scene.collection import SceneModel, compile_scenes
 from cluttergen_jax.scene.scene import KEYFRAME
 from cluttergen_jax.types import Array
@@ -102,7 +100,7 @@ class BankArrays(struct.PyTreeNode):
 
     def waiting_scene(self) -> Scene:
         """All K objects as one scene on the bank's support, where they wait, with its cameras."""
-        stability, contact = _rules_of(self.bank)
+        stability, contact = rules_of(self.bank)
         return Scene(
             self.names,
             self.compiled.objects,
@@ -260,16 +258,9 @@ def _check_any(bank: Bank, found: Sized) -> None:
 
 def _compile_model(bank: Bank, reader: SceneArrayReader) -> SceneModel:
     """The model of all scenes that a reader has seen."""
-    stability, contact = _rules_of(bank)
+    stability, contact = rules_of(bank)
     assets = [bank.object(name) for name in reader.names]
     return compile_scenes(assets, reader.most, bank.support, stability.timestep, contact)
-
-
-def _rules_of(bank: Bank) -> tuple[StabilityConfig, ContactConfig]:
-    """With which its scenes were made."""
-    recipe = bank.record.get("recipe", {})
-    stability = config_of(StabilityConfig, recipe.get("stability", {}), bank.path)
-    return stability, config_of(ContactConfig, recipe.get("contact", {}), bank.path)
 
 
 @with_own_settings

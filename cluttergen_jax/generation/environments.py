@@ -34,10 +34,9 @@ if TYPE_CHECKING:
 
 OBSERVATIONS = ("flat", "dict")
 ACTIONS = ("pose", "surface")
+_OF_METHODS = ("height", *TARGETS, "clearance")
+"""Fields of a `SceneSpec` that a method brings about."""
 _NOT_TAKEN = {
-    **dict.fromkeys(
-        ("height", *TARGETS, "clearance"), "of methods that act alone: here someone else acts"
-    ),
     **dict.fromkeys(
         ("shelf", "weights", "balance"), "by which blocks draw worlds: an environment is one world"
     ),
@@ -96,8 +95,8 @@ def make_env(
       num_scene_points: points of the scene's cloud, with "dict" alone; 0 for none.
       change: how the region is changed at random in every episode: "none", "translation", "rotation",
         "shrinkage", "expansion" or "all".
-      options: fields of `SceneSpec`, in place of those of `spec`; what methods alone are asked for is left
-        out.
+      options: fields of `SceneSpec`, in place of those of `spec`; what only a method brings about needs a
+        `method`.
 
     Raises:
       ConfigError: a setting is out of range or contradicts another.
@@ -135,6 +134,12 @@ def make_env(
 def _method_of(asked: SceneSpec, action: str, history_stride: int) -> Method | None:
     """Who proposes in an environment beside whoever acts in it; None if nobody was asked for."""
     if asked.method is None and asked.checkpoint is None:
+        if given := [name for name in _OF_METHODS if name in asked.overrides()]:
+            raise ConfigError(
+                f"{given[0]} = {getattr(asked, given[0])!r} in an environment without a method",
+                "nothing that methods alone bring about: here someone else acts",
+                "method='spread', which then proposes beside who acts, or leaving it out",
+            )
         return None
     method = choose_method(asked.method, asked.pool_text, asked.checkpoint)
     asked.check_method(method.name)

@@ -8,19 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.assets import ObjectAsset
 from cluttergen_jax.files import inside, write_atomically
 from cluttergen_jax.placement.problem import ProblemConfig
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.progress import track
+from cluttergen_jax.rendering import PictureConfig, contact_sheet, save_png
 from cluttergen_jax.rendering.config import QUALITIES
 from cluttergen_jax.rendering.gl import renderer_status
-from cluttergen_jax.rendering.scene_renderer import PictureConfig
-from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 from cluttergen_jax.scene.bank import Bank, BankRow
 from cluttergen_jax.scene.xml import scene_xml
 from cluttergen_jax.schema import digest_of
-from cluttergen_jax.views.maker import ViewMaker
+from cluttergen_jax.views import ViewMaker
 
 _OVERVIEW = 12
 _PNG_BEGINS = b"\x89PNG\r\n\x1a\n"

@@ -27,7 +27,7 @@ Info = dict[str, Any]
 """What Gymnasium calls info, options and metadata."""
 
 
-class Outcome(struct.PyTreeNode):
+class AttemptOutcome(struct.PyTreeNode):
     """What is told of one attempt.
 
     Attributes:
@@ -44,18 +44,18 @@ class Outcome(struct.PyTreeNode):
     info: dict[str, Array]
 
 
-def attempt(env: Env, state: State, action: Array) -> tuple[State, Outcome]:
+def attempt(env: Env, state: State, action: Array) -> tuple[State, AttemptOutcome]:
     """One attempt, and the state to go on from: that of a new episode if this one is over.
 
     The latest finished scene is kept over the reset.
     """
     after = env.step(state, action)
     is_over = after.pipeline_state.episode.is_over
-    outcome = Outcome(after.obs, after.reward, is_over, _info(after))
+    outcome = AttemptOutcome(after.obs, after.reward, is_over, _info(after))
     return _begin_where(is_over, env.reset(after.pipeline_state.key), after), outcome
 
 
-def attempt_or_begin(env: Env, state: State, action: Array) -> tuple[State, Outcome]:
+def attempt_or_begin(env: Env, state: State, action: Array) -> tuple[State, AttemptOutcome]:
     """One attempt; or, if the episode was over before, a new one in its place, and the reward 0.
 
     The latest finished scene is kept over the reset.
@@ -64,7 +64,7 @@ def attempt_or_begin(env: Env, state: State, action: Array) -> tuple[State, Outc
     after = env.step(state, action)
     now = _begin_where(was_over, env.reset(state.pipeline_state.key), after)
     reward = jnp.where(was_over, 0.0, after.reward)
-    return now, Outcome(now.obs, reward, now.done > 0, _info(after))
+    return now, AttemptOutcome(now.obs, reward, now.done > 0, _info(after))
 
 
 def _info(state: State) -> dict[str, Array]:
@@ -133,7 +133,8 @@ class _Remade:
 class GymnasiumEnv(_Remade, gymnasium.Env):
     """One scene; see `make_gym_env`.
 
-    `info` has, after each step, "verdict", "num_placed" and "is_success" (`Outcome`). Nothing is truncated.
+    `info` has, after each step, "verdict", "num_placed" and "is_success" (`AttemptOutcome`). Nothing is
+    truncated.
 
     Attributes:
       scene: the latest finished scene, arrays of NumPy; None before there is one.
@@ -175,9 +176,10 @@ class GymnasiumVectorEnv(_Remade, VectorEnv):
     """N scenes, simulated together; see `make_vector_env`.
 
     `infos` is as that of `gymnasium.vector.SyncVectorEnv`: "verdict", "num_placed" and "is_success"
-    (`Outcome`), [N] each, with their masks "_verdict" and so on. With `AutoresetMode.SAME_STEP`, where an
-    episode has ended they are in `infos["final_info"]`, and its last observation in `infos["final_obs"][i]`;
-    with `NEXT_STEP` they are masked where an episode has just begun. Nothing is truncated.
+    (`AttemptOutcome`), [N] each, with their masks "_verdict" and so on. With `AutoresetMode.SAME_STEP`, where
+    an episode has ended they are in `infos["final_info"]`, and its last observation in
+    `infos["final_obs"][i]`; with `NEXT_STEP` they are masked where an episode has just begun. Nothing is
+    truncated.
     """
 
     def __init__(
@@ -223,7 +225,9 @@ class GymnasiumVectorEnv(_Remade, VectorEnv):
             infos,
         )
 
-    def _final(self, outcome: Outcome, is_over: np.ndarray, info: dict[str, np.ndarray]) -> Info:
+    def _final(
+        self, outcome: AttemptOutcome, is_over: np.ndarray, info: dict[str, np.ndarray]
+    ) -> Info:
         """The last observations and infos of episodes that have ended."""
         last = np.full(self.num_envs, None, dtype=object)
         seen = to_numpy(outcome.obs)

@@ -13,8 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from cluttergen_jax.assets.pool import public_name
-from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets import SupportAsset, public_name
 from cluttergen_jax.config import check_range, check_whole
 from cluttergen_jax.errors import ConfigError, range_text
 from cluttergen_jax.generation.arguments import (
@@ -28,13 +27,12 @@ from cluttergen_jax.generation.arguments import (
 )
 from cluttergen_jax.learning.methods import Method, choose_method, sampler_of, with_history_of
 from cluttergen_jax.numerics import as_float32, with_own_settings
+from cluttergen_jax.placement import Episode, KeepOut, Region, Start
 from cluttergen_jax.placement.observation import ObservationConfig, observe
 from cluttergen_jax.placement.problem import Problem, Setup, make_setup
-from cluttergen_jax.placement.region import KeepOut, Region
 from cluttergen_jax.placement.rollout import BlockSampler, varying_alike
 from cluttergen_jax.placement.scenes import BLOCK_SIZE, SceneBatch, scene_of
 from cluttergen_jax.placement.shelves import Shelves
-from cluttergen_jax.placement.types import Episode, Start
 from cluttergen_jax.scene import Origin, Scene
 from cluttergen_jax.scene.bank.reference import read_start
 from cluttergen_jax.spec import SceneOptions, SceneSpec, spec_of, takes_spec

@@ -180,7 +180,9 @@ def _arrays(states: Any) -> Iterator[tuple[str, np.ndarray]]:
             names = loaded.files
             for name in names:
                 yield (f"{name}-" if len(names) > 1 else ""), loaded[name]
-    except Exception as error:  # Damaged archives make NumPy, zipfile and zlib raise whatever they like.
+    except (
+        Exception
+    ) as error:  # Damaged archives make NumPy, zipfile and zlib raise whatever they like.
         raise AssetError(f"the states {states} cannot be read ({error})", _CONVERT) from error
 
 

@@ -13,7 +13,7 @@ from cluttergen_jax.learning.policies.checkpoint import Checkpoint, read_checkpo
 from cluttergen_jax.learning.policies.embedded import find_policy, list_policies
 from cluttergen_jax.learning.policies.guided import KIND, load_guided
 from cluttergen_jax.learning.policies.policy import load_policy
-from cluttergen_jax.placement import PlacementConfig, Proposer, Rules, Setup
+from cluttergen_jax.placement import KeepOut, PlacementConfig, Proposer, Rules, Setup, Start
 from cluttergen_jax.placement.methods.table import (
     BASELINES,
     LEARNED,
@@ -106,7 +106,11 @@ def _check_variant(method: str, given: Checkpoint) -> None:
 def with_history_of(placement: PlacementConfig, checkpoint: Checkpoint | None) -> PlacementConfig:
     """The settings with the history that a method looks back on: none for a baseline."""
     stride = 0 if checkpoint is None else checkpoint.trained.placement.history_stride
-    return replace(placement, history_stride=stride)
+    return (
+        placement
+        if stride == placement.history_stride
+        else replace(placement, history_stride=stride)
+    )
 
 
 def proposer_of(method: str, checkpoint: Checkpoint | None, rules: Rules) -> Proposer:
@@ -122,7 +126,14 @@ def sampler_of(setup: Setup, method: Method) -> BlockSampler:
     """Episodes of a method, which looks back on as much as it was trained with; errors: `proposer_of`."""
     rules = setup.problem.rules
     rules = replace(rules, config=with_history_of(rules.config, method.checkpoint))
+    return block_sampler_of(method, rules, setup.keep_out, setup.start)
+
+
+def block_sampler_of(
+    method: Method, rules: Rules, keep_out: KeepOut | None = None, start: Start | None = None
+) -> BlockSampler:
+    """Episodes of a method by these rules; errors: `proposer_of`."""
     sampler: BlockSampler = episodes_of(method.name)(
-        rules, proposer_of(*method, rules), setup.keep_out, setup.start
+        rules, proposer_of(*method, rules), keep_out, start
     )
     return sampler

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from numbers import Integral, Real
 from typing import TYPE_CHECKING, get_args
@@ -30,18 +31,55 @@ RUIN_AFTER = 5
 """Failed attempts in a row after which a scene is partly taken apart, where that is done."""
 ORDER_POWER = 4.0
 """Of a footprint in the weights of the order "weighted"."""
-_ALWAYS_RECORDED = 8
-"""So many fields come first in every record; the others where they are not at their defaults."""
-CONTAINMENTS = get_args(Containment)
-ORDERS = get_args(Order)
-REWARDS = get_args(Reward)
-OVERHANGS = get_args(Overhang)
-HEIGHTS = get_args(Height)
-POSES = get_args(Poses)
+_ALWAYS_RECORDED = (
+    "num_objects",
+    "max_attempts",
+    "containment",
+    "order",
+    "reward",
+    "history_stride",
+    "motion_cost",
+    "success_reward",
+)
+"""These come first in every record; the others where they are not at their defaults."""
+_WORDS = {
+    "containment": get_args(Containment),
+    "order": get_args(Order),
+    "reward": get_args(Reward),
+    "overhang": get_args(Overhang),
+    "height": get_args(Height),
+    "poses": get_args(Poses),
+}
+"""What settings of words allow."""
 
 
-@dataclass(frozen=True)
-class PlacementConfig:
+@dataclass(frozen=True, kw_only=True)
+class PlacementRequest:
+    """The rules of placing that a user may ask for: fields of `SceneSpec`, where each is explained.
+
+    What is None here is decided by method and setting; a `PlacementConfig` has it decided.
+    """
+
+    num_objects: int | None = None
+    max_attempts: int = 5
+    containment: Containment = "center"
+    order: Order | None = None
+    min_margin: float | None = None
+    ruin_after: int | None = None
+    budget: int | None = None
+    overhang: Overhang = "any"
+    clutter: str | Mapping[str, float] | Clutter | None = None
+    natural: bool = False
+    tidy: bool = False
+    height: Height = "rest"
+    poses: Poses = "upright"
+    relations: Sequence[str] = ()
+    roles: str | Mapping[str, str] | tuple[tuple[str, str], ...] = ""
+    clearance: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlacementConfig(PlacementRequest):
     """One episode of the decision process (paper, section 3): the rules of a request, all decided.
 
     The fields that are not explained here are those of `SceneSpec`; where nothing is given they are the
@@ -49,38 +87,31 @@ class PlacementConfig:
     `ORDER_POWER` (Plackett-Luce).
 
     Attributes:
+      roles: each name with its condition.
       reward: "paper" (its equation 1), "code" (what its published code pays) or "compressed".
       history_stride: keep every so many rows of a failed attempt's trajectory, release first; 0 remembers no
         attempt at all, which is faster for methods that never look back.
       motion_cost: c of the paper's equation 1.
       success_reward: R0 of the paper's equation 1.
-      roles: each name with its condition.
-      most_stacked: objects that may rest on others at most; None for any number. `packed` allows as many as
-        `clutter` asks for by `stack`, unasked none.
       retry_last: a scene that moves in its last check is not over while attempts are left: what moved is
         taken away, with all that leans on it, and comes again.
+      most_stacked: objects that may rest on others at most; None for any number. `packed` allows as many as
+        `clutter` asks for by `stack`, unasked none.
     """
 
+    # Decided.
     num_objects: int = 10
-    max_attempts: int = 5
-    containment: str = "center"
-    order: str = "random"
+    order: Order = "random"
+    min_margin: float = 0.0
+    ruin_after: int = 0
+    clutter: Clutter | None = None
+    roles: tuple[tuple[str, str], ...] = ()
+    clearance: float = CLEARANCE
+    # What no request asks for.
     reward: str = "paper"
     history_stride: int = 1
     motion_cost: float = 0.005
     success_reward: float = 100.0
-    min_margin: float = 0.0
-    ruin_after: int = 0
-    budget: int | None = None
-    overhang: str = "any"
-    clutter: Clutter | None = None
-    natural: bool = False
-    tidy: bool = False
-    height: str = "rest"
-    poses: str = "upright"
-    relations: tuple[str, ...] = ()
-    roles: tuple[tuple[str, str], ...] = ()
-    clearance: float = CLEARANCE
     retry_last: bool = False
     most_stacked: int | None = None
 
@@ -117,14 +148,8 @@ class PlacementConfig:
                 f"{self.num_objects} to {MAX_BUDGET} attempts a scene, at least one for each object",
                 f"{self.max_attempts * self.num_objects}, {self.max_attempts} an object",
             )
-        for name, value, allowed in (
-            ("containment", self.containment, CONTAINMENTS),
-            ("order", self.order, ORDERS),
-            ("reward", self.reward, REWARDS),
-            ("overhang", self.overhang, OVERHANGS),
-            ("height", self.height, HEIGHTS),
-            ("poses", self.poses, POSES),
-        ):
+        for name, allowed in _WORDS.items():
+            value = getattr(self, name)
             if value not in allowed:
                 raise ConfigError(
                     f"{name} = {value!r}",
@@ -132,9 +157,8 @@ class PlacementConfig:
                     f"{name}={allowed[0]!r}",
                     closest(value, allowed),
                 )
-
-        flags = (("natural", self.natural), ("tidy", self.tidy), ("retry_last", self.retry_last))
-        for name, value in flags:
+        for name in ("natural", "tidy", "retry_last"):
+            value = getattr(self, name)
             if not isinstance(value, bool):
                 raise ConfigError(f"{name} = {value!r}", "True, False", f"{name}=True")
         if self.tidy and (self.natural or self.clutter is not None):
@@ -164,10 +188,9 @@ class PlacementConfig:
 
 def placement_record(config: PlacementConfig) -> Record:
     """The config as records keep it: most settings only where they are not at their defaults."""
-    record = asdict(config)
+    found = asdict(config)
     if config.clutter is not None:
-        record["clutter"] = config.clutter.targets
-    for field in fields(config)[_ALWAYS_RECORDED:]:
-        if record[field.name] == field.default:
-            del record[field.name]
-    return record
+        found["clutter"] = config.clutter.targets
+    record = {name: found.pop(name) for name in _ALWAYS_RECORDED}
+    usual = {each.name: each.default for each in fields(config)}
+    return record | {name: value for name, value in found.items() if value != usual[name]}

@@ -22,6 +22,7 @@ from cluttergen_jax.learning.training.presets import Settings
 from cluttergen_jax.learning.training.run_folder import Interrupt, RunFolder
 from cluttergen_jax.learning.training.run_logger import read_rows
 from cluttergen_jax.learning.training.train import TrainConfig, recipe_of, run_training
+from cluttergen_jax.placement.problem import ProblemConfig
 from studies.benchmarks.section import prose, report, table
 from studies.benchmarks.trained import WINDOW, success_of
 
@@ -84,7 +85,7 @@ ROWS = (
 def train(
     row: Row,
     out: Path,
-    pool: str,
+    problem: ProblemConfig,
     num_attempts: int,
     seed: int,
     encoder: str | None,
@@ -99,18 +100,24 @@ def train(
     Raises:
       ConfigError: its folder holds a run with other settings.
     """
-    config, settings = settings_of(row, out, pool, num_attempts, seed, encoder, **given)
+    config, settings = settings_of(row, out, problem, num_attempts, seed, encoder, **given)
     RunFolder(config.folder, recipe_of(config, settings))
     if not is_finished(config.folder):
         run_training(config, settings, interrupt=interrupt)
 
 
 def settings_of(
-    row: Row, out: Path, pool: str, num_attempts: int, seed: int, encoder: str | None, **given: Any
+    row: Row,
+    out: Path,
+    problem: ProblemConfig,
+    num_attempts: int,
+    seed: int,
+    encoder: str | None,
+    **given: Any,
 ) -> tuple[TrainConfig, Settings]:
     """What a row's run is given; see `train`."""
     config = TrainConfig(
-        pool=pool,
+        problem=problem,
         preset=row.preset,
         variant=row.variant,
         num_attempts=num_attempts,
@@ -177,7 +184,8 @@ def compare(
         parser.error("--write puts the whole section into the file: it takes no --rows")
     rows = [row for row in rows if args.rows is None or row.name in args.rows]
     for row in rows:
-        train(row, args.out, args.pool, args.num_attempts, args.seed, args.encoder_weights)
+        problem = ProblemConfig(pool=args.pool)
+        train(row, args.out, problem, args.num_attempts, args.seed, args.encoder_weights)
     body = prose(
         f"""Ten objects of {args.pool} on the paper's table, {args.num_attempts:,} attempts each, seed
         {args.seed}; one thing differs from the first row in each unless it says otherwise. While training:

@@ -16,10 +16,11 @@ import numpy as np
 import tyro
 
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.evaluation.plots import add_legend, new_figure, prepare, save
+from cluttergen_jax.evaluation.comparison import new_figure, prepare, save
 from cluttergen_jax.generation import Sampler, make_sampler
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, blocks_of, sample_blocks
 from studies.benchmarks.section import IMAGES, prose, report, table
+from studies.plots import add_legend
 
 _POOL = "all"
 _SUPPORT = "table-0.80x1.00"

@@ -27,13 +27,14 @@ from cluttergen_jax.assets.pool import Pool, find_pool, write_pool
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError, closest
-from cluttergen_jax.evaluation.machine import machine, sentence
+from cluttergen_jax.evaluation.records import machine
 from cluttergen_jax.physics.mjx import room_for
 from cluttergen_jax.placement.world import make_world
 from studies.benchmarks import gpu_engines, gpu_training
 from studies.benchmarks.bodies import box
 from studies.benchmarks.rows import Cases, OutOfTimeError, Row, Rows, columns
 from studies.benchmarks.section import PAGE, prose, replace_section, table, version_of
+from studies.results import sentence
 
 PARTS = ("doctor", "agreement", "steps", "scenes", "share", "tune", "paper")
 

@@ -20,6 +20,7 @@ from cluttergen_jax.learning.training.presets import gpu as preset_gpu
 from cluttergen_jax.learning.training.presets import paper as preset_paper
 from cluttergen_jax.learning.training.run_folder import Interrupt
 from cluttergen_jax.learning.training.run_logger import read_rows
+from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 from studies.benchmarks.ablation import Row as Run
@@ -119,14 +120,9 @@ def tune(scale: Scale, out: Path, seconds_left: Callable[[], float]) -> Cases:
     """Runs of preset `gpu` and its changes until they come to 0.95."""
     for run in scale.runs or SWEEP:
         changed = replace(run, ppo={**run.ppo, **dict(scale.ppo)})
-        given = {
-            "num_objects": scale.num_objects,
-            "engine": scale.engine,
-            "eval_episodes": scale.evaluates,
-        }
         yield (
             run.title,
-            partial(_trained, scale, changed, out, seconds_left, scale.num_attempts, given),
+            partial(_trained, scale, changed, out, seconds_left, scale.num_attempts),
         )
 
 
@@ -136,13 +132,18 @@ def _trained(
     out: Path,
     seconds_left: Callable[[], float],
     num_attempts: int,
-    given: dict[str, Any],
     encoder: str | None = None,
 ) -> Row:
     folder = out / run.name
+    problem = ProblemConfig(
+        pool=scale.pool,
+        support=scale.support,
+        engine=scale.engine,
+        placement=PlacementConfig(num_objects=scale.num_objects),
+    )
     until = Until(folder, seconds_left() - _RESERVE, is_goal_enough=run.preset == "gpu")
     try:
-        train(run, out, scale.pool, num_attempts, 0, encoder, until, support=scale.support, **given)
+        train(run, out, problem, num_attempts, 0, encoder, until, eval_episodes=scale.evaluates)
     except KeyboardInterrupt:
         if until.was_ctrl_c:
             raise
@@ -183,15 +184,10 @@ def paper(scale: Scale, out: Path, seconds_left: Callable[[], float]) -> Cases:
     yield "encoder", partial(_encoder, network, out / "encoder", scale)
     run = Run("paper", "preset `paper`", variant="beta_free", preset="paper")
     run = replace(run, ppo=dict(scale.ppo), network=dict(scale.network))
-    given = {
-        "num_objects": scale.num_objects,
-        "engine": scale.engine,
-        "eval_episodes": scale.evaluates,
-    }
     attempts = scale.paper_attempts or preset_paper().ppo.num_attempts
     yield (
         "policy",
-        partial(_trained, scale, run, out, seconds_left, attempts, given, str(out / "encoder")),
+        partial(_trained, scale, run, out, seconds_left, attempts, str(out / "encoder")),
     )
 
 

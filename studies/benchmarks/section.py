@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from cluttergen_jax.evaluation.machine import cpu_model
+from cluttergen_jax.evaluation.records import cpu_model
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "reports/benchmarks.md"

@@ -19,11 +19,12 @@ from PIL import Image
 
 import cluttergen_jax as cg
 from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.evaluation.measures.diversity import embed, scene_kernel, vendi_score
+from cluttergen_jax.evaluation.diversity import embed
 from cluttergen_jax.judging.scene_models import by_object
 from cluttergen_jax.rendering.assets import render_scene
 from cluttergen_jax.rendering.sheet import contact_sheet
 from studies.benchmarks.section import IMAGES, prose, report, table
+from studies.measures.diversity import scene_kernel, vendi_score
 
 SUPPORTS: dict[str, int] = {
     "table": 10,

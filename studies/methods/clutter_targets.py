@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cluttergen_jax.evaluation.cells import SUCCESS, Column, made_rows, number, request_columns
+from cluttergen_jax.evaluation.comparison import SUCCESS, Column, number, request_columns
 from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.resolved import MissingRowError
 from cluttergen_jax.evaluation.runner import Runner
@@ -16,6 +16,7 @@ from cluttergen_jax.placement.clutter import Clutter
 from studies.cells import EFFORT, EFFORT_NOTES
 from studies.methods.pictures import draw_scene, if_drawable, sheet
 from studies.rankings import OURS, TWIN, success_notes
+from studies.results import made_rows
 from studies.rules import own_rules
 from studies.study import Findings, Scale, Study, successes_of
 

@@ -10,23 +10,26 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.assets.pool import ALL, find_pool
-from cluttergen_jax.evaluation.cells import (
+from cluttergen_jax.evaluation.comparison import (
     SPEED,
     SUCCESS,
     Column,
-    made_rows,
     missing,
     name_of,
+    new_figure,
+    prepare,
     request_columns,
+    save,
     table_of,
 )
-from cluttergen_jax.evaluation.plots import add_legend, new_figure, plot_success, prepare, save
-from cluttergen_jax.evaluation.records import Result, Row
+from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.trial import Trial, grid, trial_of
 from cluttergen_jax.tables import Table
 from studies.cells import EFFORT, EFFORT_NOTES, FILL
 from studies.methods.table1 import ALL_METHODS
+from studies.plots import add_legend, plot_success
 from studies.rankings import OURS, success_notes
+from studies.results import Result, made_rows
 from studies.rules import RULES, margin_of, named_rows, with_seeds
 from studies.study import Scale, Study
 

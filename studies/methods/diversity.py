@@ -9,17 +9,24 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.evaluation.cells import Column, request_columns
-from cluttergen_jax.evaluation.measures import diversity as measures
-from cluttergen_jax.evaluation.plots import colour, grid_of_panels, label_of, save
+from cluttergen_jax.evaluation.comparison import (
+    Column,
+    colour,
+    grid_of_panels,
+    request_columns,
+    save,
+)
+from cluttergen_jax.evaluation.diversity import embed
 from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.trial import Trial, grid
 from cluttergen_jax.statistics import finite
 from studies.cells import HEAD, SCENES, number_column
+from studies.measures import diversity as measures
 from studies.measures.acceptance import Bias, acceptance_bias
 from studies.methods.density import SIZES, table_sizes
 from studies.methods.table1 import ALL_METHODS, CLUTTERGEN
+from studies.plots import label_of
 from studies.rankings import by_question, ranking
 from studies.rules import RULES, own_rules
 from studies.study import Findings, Scale, Study, Successes, each_success, measure_each, row_of
@@ -61,7 +68,7 @@ def _set_figures(scenes: Successes, count: int) -> Row:
     region = scenes.region
     poses = scenes.poses
     is_placed = scenes.is_placed
-    vectors = measures.embed(world.objects, poses, is_placed, region, world.support.top)
+    vectors = embed(world.objects, poses, is_placed, region, world.support.top)
 
     def mean(figure: Callable[[np.ndarray], float]) -> float | None:
         return finite(measures.at_equal_count(figure, len(scenes), count)[0])

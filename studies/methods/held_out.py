@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from cluttergen_jax.evaluation.cells import SUCCESS, made_rows, name_of, request_columns
+from cluttergen_jax.evaluation.comparison import SUCCESS, name_of, request_columns
 from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.resolved import FIRST_SEED, NUM_VARIANTS, VARIANT_POOLS
 from cluttergen_jax.evaluation.trial import Trial, grid
 from studies.cells import EFFORT, EFFORT_NOTES, FILL
 from studies.methods.density import FILL_NOTE, table_sizes
 from studies.rankings import OURS, success_notes
+from studies.results import made_rows
 from studies.rules import RULES, named_rows, with_seeds
 from studies.study import Scale, Study
 

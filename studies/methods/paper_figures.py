@@ -9,15 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.evaluation.cells import Column, made_rows, request_columns, share
-from cluttergen_jax.evaluation.plots import (
-    add_legend,
+from cluttergen_jax.evaluation.comparison import (
+    Column,
     colour,
     grid_of_panels,
-    label_of,
-    plot_success,
     prepare,
+    request_columns,
     save,
+    share,
 )
 from cluttergen_jax.evaluation.records import Row, Spread
 from cluttergen_jax.evaluation.runner import Runner
@@ -28,6 +27,8 @@ from cluttergen_jax.placement.methods.table import BASELINES
 from studies.cells import BOTH, LOOSE, STEPS, STRICT, columns_of, mean_and_spread
 from studies.methods import table1
 from studies.methods.table1 import CLUTTERGEN, first_seed
+from studies.plots import add_legend, label_of, plot_success
+from studies.results import made_rows
 from studies.study import Findings, Scale, Study, of_methods
 
 

@@ -10,9 +10,8 @@ import jax
 import numpy as np
 
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.episodes import LEAST_ATTEMPTS, width_of
 from cluttergen_jax.evaluation.resolved import MissingRowError
-from cluttergen_jax.evaluation.runner import Runner
+from cluttergen_jax.evaluation.runner import LEAST_ATTEMPTS, Runner, width_of
 from cluttergen_jax.evaluation.trial import Trial
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement.rollout import EpisodeRecorder, rectangle_of

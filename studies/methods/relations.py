@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cluttergen_jax.assets.pool import EMBEDDED
-from cluttergen_jax.evaluation.cells import Column, number, request_columns
+from cluttergen_jax.evaluation.comparison import Column, number, request_columns
 from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.trial import Trial, grid

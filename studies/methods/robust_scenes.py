@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from cluttergen_jax.assets.pool import ALL
-from cluttergen_jax.evaluation.cells import SUCCESS, Column, request_columns, share_of
+from cluttergen_jax.evaluation.comparison import SUCCESS, Column, request_columns, share_of
 from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.trial import ROBUST, Trial, grid

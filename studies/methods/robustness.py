@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from cluttergen_jax.errors import MissingExtraError
-from cluttergen_jax.evaluation.cells import Column, number, share, share_of, table_of
-from cluttergen_jax.evaluation.records import Result, Row
+from cluttergen_jax.evaluation.comparison import Column, number, share, share_of, table_of
+from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.trial import Trial, grid
 from cluttergen_jax.judging.contacts import contacts_of
@@ -26,6 +26,7 @@ from studies.cells import HEAD, SCENES, columns_of, number_column
 from studies.measures.survival import PEERS, SURVIVAL_SECONDS, movement_elsewhere
 from studies.methods.diversity import TIGHT, scenes_of
 from studies.rankings import share_notes
+from studies.results import Result
 from studies.rules import RULES, margin_of
 from studies.study import (
     Findings,

@@ -10,19 +10,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 from cluttergen_jax.assets.pool import EMBEDDED
-from cluttergen_jax.evaluation.cells import (
-    Column,
-    made_rows,
-    name_of,
-    request_columns,
-    share,
-    table_of,
-)
-from cluttergen_jax.evaluation.records import Result, Row
+from cluttergen_jax.evaluation.comparison import Column, name_of, request_columns, share, table_of
+from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.trial import Trial, grid, trial_of
 from cluttergen_jax.placement.methods.table import BASELINES
 from cluttergen_jax.tables import Table
 from studies.cells import LOOSE, STRICT, pooled_success, stable_steps
+from studies.results import Result, made_rows
 from studies.study import Scale, Study
 
 GROUP_OF_POOL = {

@@ -6,16 +6,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 from cluttergen_jax.assets.pool import EMBEDDED
-from cluttergen_jax.evaluation.cells import (
-    Column,
-    made_rows,
-    name_of,
-    request_columns,
-    share,
-    table_of,
-)
-from cluttergen_jax.evaluation.episodes import per_scene
-from cluttergen_jax.evaluation.records import Figures, Result, Row
+from cluttergen_jax.evaluation.comparison import Column, name_of, request_columns, share, table_of
+from cluttergen_jax.evaluation.records import Figures, Row
+from cluttergen_jax.evaluation.runner import per_scene
 from cluttergen_jax.evaluation.trial import Trial, grid, trial_of
 from cluttergen_jax.placement.region import REGION_CHANGES
 from cluttergen_jax.statistics import wilson
@@ -31,6 +24,7 @@ from studies.methods.table1 import (
     differs,
 )
 from studies.rankings import success_notes
+from studies.results import Result, made_rows
 from studies.rules import RULES, margin_of, named_rows
 from studies.study import Scale, Study
 

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from cluttergen_jax.evaluation.cells import Column, request_columns
+from cluttergen_jax.evaluation.comparison import Column, request_columns
 from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.resolved import MissingCheckpointError
 from cluttergen_jax.evaluation.runner import Runner

@@ -10,8 +10,7 @@ import pytest
 
 import cluttergen_jax
 from cluttergen_jax.assets.pool import Pool, write_pool
-from cluttergen_jax.cli.commands import COMMANDS
-from cluttergen_jax.cli.main import main
+from cluttergen_jax.cli.main import COMMANDS, main
 from cluttergen_jax.placement import problem
 from tests.helpers.worlds import box
 

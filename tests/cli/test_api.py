@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 
 import cluttergen_jax
-from cluttergen_jax.cli.commands import COMMANDS, load
 from cluttergen_jax.cli.flags import with_flags
-from cluttergen_jax.cli.main import main
+from cluttergen_jax.cli.main import COMMANDS, load, main
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.policies.embedded import list_policies
 from tests.helpers.options import options_in

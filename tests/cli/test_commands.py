@@ -13,8 +13,7 @@ import pytest
 from cluttergen_jax import config
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.cli.commands import COMMANDS, load, overview
-from cluttergen_jax.cli.main import main, parse_words
+from cluttergen_jax.cli.main import COMMANDS, load, main, overview, parse_words
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.generation import generate, make_sampler
 from cluttergen_jax.learning.training.presets import PRESETS

@@ -18,8 +18,7 @@ from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.pool import Pool, read_pool, user_root, write_pool
 from cluttergen_jax.assets.support_file import user_supports
 from cluttergen_jax.bank_reader import Bank
-from cluttergen_jax.cli.commands import COMMANDS
-from cluttergen_jax.cli.main import main
+from cluttergen_jax.cli.main import COMMANDS, main
 from cluttergen_jax.generation import hand
 from cluttergen_jax.importing import cache, run, supports
 from cluttergen_jax.kept_folder import FolderLock, lock_beside

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from cluttergen_jax.cli.commands import load
 from cluttergen_jax.cli.flags import error_with_flags
+from cluttergen_jax.cli.main import load
 from cluttergen_jax.errors import BankError, ConfigError, range_text
 from cluttergen_jax.files import writing
 from cluttergen_jax.progress import Progress

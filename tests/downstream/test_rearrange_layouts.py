@@ -14,7 +14,7 @@ from cluttergen_jax.downstream.rearrange.layouts import (
     clearance_of,
 )
 from cluttergen_jax.downstream.transforms import equal_places, offset, turn_matrix
-from cluttergen_jax.evaluation.measures.diversity import embed
+from cluttergen_jax.evaluation.diversity import embed
 from cluttergen_jax.geometry import transform_points, yaw_quaternion
 from tests.helpers.worlds import box, prism
 

@@ -6,11 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from cluttergen_jax.evaluation.episodes import (
-    attempts_of,
-    figures_of,
-    run_episodes,
-)
+from cluttergen_jax.evaluation.runner import attempts_of, figures_of, run_episodes
 from cluttergen_jax.placement.rollout import BlockSampler, Rollout, sample_blocks
 from tests.helpers.problems import made_up_rules
 

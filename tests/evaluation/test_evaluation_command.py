@@ -2,8 +2,7 @@
 
 import json
 
-from cluttergen_jax.cli.commands import load
-from cluttergen_jax.cli.main import run
+from cluttergen_jax.cli.main import load, run
 
 SUPPORTS = ("table", "round_table")
 

@@ -14,9 +14,8 @@ from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError, PoolError
-from cluttergen_jax.generation.layout_json import read_layout_json
-from cluttergen_jax.generation.layout_reasons import hint_for_positions, reason_without_place
-from cluttergen_jax.generation.repair import read_layouts
+from cluttergen_jax.generation.layouts import read_layout_json
+from cluttergen_jax.generation.repair import hint_for_positions, read_layouts, reason_without_place
 from cluttergen_jax.geometry import rotation_matrix, yaw_quaternion
 
 CASES = Path(__file__).parents[1] / "cases" / "repair"

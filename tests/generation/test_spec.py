@@ -12,6 +12,7 @@ import pytest
 import cluttergen_jax as cg
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.learning.training.presets import make_settings
 from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.spec import SceneOptions, SceneSpec
@@ -24,8 +25,9 @@ TAKERS = (cg.generate, cg.make_sampler, cg.make_env, cg.train, cg.evaluate)
 def test_the_keywords_are_the_fields():
     assert set(SceneOptions.__annotations__) == set(FIELDS)
     own = {name: each.type for name, each in FIELDS.items()}
-    # A spec holds clutter parsed as well.
+    # A spec holds clutter parsed as well, and a config of placing also roles.
     own["clutter"] = own["clutter"].replace(" | Clutter", "")
+    own["roles"] = own["roles"].replace(" | tuple[tuple[str, str], ...]", "")
     for name, kind in SceneOptions.__annotations__.items():
         assert kind.__forward_arg__ == own[name], name
 
@@ -49,16 +51,49 @@ def test_a_misspelt_field_is_refused(function):
 
 
 def test_a_spec_is_refused_where_a_field_of_it_counts_for_nothing():
-    with pytest.raises(
-        ConfigError, match=r"clutter = .* in the spec for make_env.*leaving clutter out"
-    ):
+    with pytest.raises(ConfigError, match=r"clutter = .* in an environment without a method"):
         cg.make_env(SceneSpec(clutter="stack=1"))
-    with pytest.raises(ConfigError, match="robust = True in the spec for train"):
-        cg.train(SceneSpec(robust=True))
+    with pytest.raises(ConfigError, match=r"shelf = 9 in the spec for make_env.*leaving shelf out"):
+        cg.make_env(SceneSpec(shelf=9))
+    with pytest.raises(ConfigError, match="tidy = True in the spec for train"):
+        cg.train(SceneSpec(tidy=True))
     with pytest.raises(ConfigError, match="one pool"):
         cg.make_sampler("dining", pool="office")
     with pytest.raises(ConfigError, match="a SceneSpec, or a pool's name"):
         cg.make_sampler(3)
+
+
+def test_training_takes_objects_a_region_and_rules(monkeypatch):
+    seen = []
+    place = "cluttergen_jax.learning.training.train.run_training"
+    monkeypatch.setattr(place, lambda config, show: seen.append(config))
+    cg.train(
+        SceneSpec(
+            objects=("mug", "bowl"),
+            num_objects=2,
+            region="0.3x0.3",
+            min_margin=0.005,
+            stability="shift=0.001",
+        )
+    )
+    settings = seen[0].settings()
+    usual = make_settings("cpu", "policy")
+    assert seen[0].problem.objects == ("mug", "bowl")
+    assert seen[0].problem.region.half_extents == (0.15, 0.15)
+    rules = dataclasses.replace(usual.placement, num_objects=2, min_margin=0.005)
+    limits = dataclasses.replace(usual.stability, max_shift=0.001, stand_full_shift=0.001)
+    assert (settings.placement, settings.stability) == (rules, limits)
+    with pytest.raises(ConfigError, match=r"region = '0.3x0.3' with variant 'guided'"):
+        cg.train(region="0.3x0.3", variant="guided")
+
+
+def test_an_environment_takes_what_its_method_brings_about():
+    env = cg.make_env(num_objects=2, method="spread", tidy=True, relations=("mug on dinner_plate",))
+    config = env.unwrapped.rules.config
+    assert config.tidy
+    assert config.relations == ("mug on dinner_plate",)
+    with pytest.raises(ConfigError, match="`tidy` with method 'drop'"):
+        cg.make_env(method="drop", tidy=True)
 
 
 def test_equal_requests_are_equal():

@@ -37,8 +37,7 @@ from cluttergen_jax.downstream.robot import description
 from cluttergen_jax.downstream.robot.description import read_robot
 from cluttergen_jax.errors import BankError, ClutterGenError
 from cluttergen_jax.generation import repair
-from cluttergen_jax.generation.layout_json import read_layout_json
-from cluttergen_jax.generation.layouts import read_layout
+from cluttergen_jax.generation.layouts import read_layout, read_layout_json
 from cluttergen_jax.importing.readers import find_sources, read_shape, sets
 from cluttergen_jax.importing.settings import read_settings
 from cluttergen_jax.judging.scene_files import load_model, read_model, read_starts

@@ -10,7 +10,7 @@ import trimesh
 from cluttergen_jax.assets.body import BodyConfig
 from cluttergen_jax.assets.config import DecompositionConfig
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.cli.commands import load
+from cluttergen_jax.cli.main import load
 from cluttergen_jax.errors import BankError, PoolError
 from cluttergen_jax.importing import cache, run
 from cluttergen_jax.importing.readers import ReadOptions, find_sources

@@ -11,8 +11,8 @@ from cluttergen_jax.assets.deviation import gap_alarm
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.assets.solid import solid_of
-from cluttergen_jax.cli.commands import load
-from cluttergen_jax.cli.import_ import print_report
+from cluttergen_jax.cli.main import load
+from cluttergen_jax.cli.pools import print_report
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.importing import run
 from cluttergen_jax.importing.planning import plan_all

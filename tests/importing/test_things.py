@@ -6,7 +6,7 @@ import trimesh
 from PIL import Image
 
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.cli.import_ import left_out_text
+from cluttergen_jax.cli.pools import left_out_text
 from cluttergen_jax.errors import AssetError, ConfigError
 from cluttergen_jax.importing.cache import cache_key
 from cluttergen_jax.importing.planning import plan_all

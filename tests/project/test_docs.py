@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 import cluttergen_jax as cg
-from cluttergen_jax.cli.commands import COMMANDS
+from cluttergen_jax.cli.main import COMMANDS
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

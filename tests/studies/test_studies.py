@@ -7,8 +7,7 @@ import pytest
 
 from cluttergen_jax.assets.support_file import list_supports
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.episodes import WITHIN
-from cluttergen_jax.evaluation.runner import Runner
+from cluttergen_jax.evaluation.runner import WITHIN, Runner
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial, grid
 from studies.measures.survival import PEERS

@@ -71,7 +71,9 @@ class SceneDraw:
     ) -> None:
         if isinstance(source, Bank):
             self.area = reached_part(region_of(source))
-            config = PlacementConfig(num_slots, min_margin=MIN_MARGIN, relations=tuple(relations))
+            config = PlacementConfig(
+                num_objects=num_slots, min_margin=MIN_MARGIN, relations=tuple(relations)
+            )
             setup = setup_of(source, placement=config, region=self.area, num_threads=num_threads)
             problem = setup.problem
             steps = sampler_of(setup, choose_method(method, setup.problem.config.pool))

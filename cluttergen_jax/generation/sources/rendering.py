@@ -12,25 +12,25 @@ from typing import Literal
 
 import numpy as np
 
+from cluttergen_jax.assets import ObjectAsset
 from cluttergen_jax.assets.cloud import ply_of, scene_points
-from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.generation.sources import BankSource, FileSource, open_source
-from cluttergen_jax.placement.replay import Replay
+from cluttergen_jax.placement import Replay
 from cluttergen_jax.progress import track
+from cluttergen_jax.rendering import PictureConfig, contact_sheet, save_png
 from cluttergen_jax.rendering.config import QUALITIES, FilmConfig, Quality
 from cluttergen_jax.rendering.figure import NUM_PROPOSALS, closed_loop_figure, density_figure
 from cluttergen_jax.rendering.film import check_format, replay, replay_frames, save_film, turntable
 from cluttergen_jax.rendering.gl import RendererError, find_backend
-from cluttergen_jax.rendering.scene_renderer import PictureConfig
-from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 from cluttergen_jax.rendering.viewer.source import SceneSource
 from cluttergen_jax.scene.bank.reference import missing_text
 from cluttergen_jax.sensing.camera import REALSENSE_SIZE, Camera, CameraPlan
+from cluttergen_jax.views import ViewMaker
 from cluttergen_jax.views.bop import BopConfig, BopScenes
 from cluttergen_jax.views.images import camera_json, depth_png, npz_of, segmentation_png
-from cluttergen_jax.views.maker import SeenScene, ViewMaker
+from cluttergen_jax.views.maker import SeenScene
 
 _DRAWN = frozenset({"picture", "sheet", "turntable", "replay", "figure", "density"})
 """What is made of colours. Depth, labels and masks come from rays, point clouds from surfaces."""

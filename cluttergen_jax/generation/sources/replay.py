@@ -75,7 +75,7 @@ def replay_context_of(bank: Bank) -> ReplayContext:
     Raises:
       BankError: the bank does not say how it was made, or the bank that it started from is gone.
       PoolError: its checkpoint is gone.
-      ConfigError: its method was removed since.
+      ConfigError: there is no such method.
     """
     setup = shelves_of(bank) if bank.recipe.get("shelf") else setup_of(bank)
     recipe = bank.recipe

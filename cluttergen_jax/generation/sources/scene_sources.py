@@ -15,13 +15,12 @@ from cluttergen_jax.config import Method
 from cluttergen_jax.errors import BankError, ClutterGenError, PoolError
 from cluttergen_jax.generation import make_sampler
 from cluttergen_jax.generation.sources.replay import ReplayContext, replay, replay_context_of
-from cluttergen_jax.learning.methods import checkpoint_of
+from cluttergen_jax.learning import checkpoint_of
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
-from cluttergen_jax.placement.problem import Setup
-from cluttergen_jax.placement.replay import Replay
+from cluttergen_jax.placement import Replay, Setup
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.rendering.viewer.source import SceneSource
-from cluttergen_jax.scene.bank import Bank, read_bank
+from cluttergen_jax.scene import Bank, read_bank
 from cluttergen_jax.scene.bank.bank import INDEX
 from cluttergen_jax.scene.bank.reference import parse_reference
 from cluttergen_jax.scene.mjcf_file import read_mjcf_scene_with_notes

@@ -112,14 +112,15 @@ def config_of(base: TrainConfig, run: PlannedRun, root: Path) -> TrainConfig:
     """What one run of a suite is given; weights of a point encoder are for those that see point clouds."""
     preset = run.preset(base.preset)
     sees_clouds = make_settings(preset, run.variant).network.reads_clouds
+    problem = base.problem
+    rules = dataclasses.replace(problem.placement, max_attempts=run.attempts)
     return dataclasses.replace(
         base,
         preset=preset,
         encoder_weights=base.encoder_weights if sees_clouds or base.encoder else None,
-        pool=run.pool,
+        problem=dataclasses.replace(problem, pool=run.pool, placement=rules),
         variant=run.variant,
         seed=run.seed,
-        max_attempts=run.attempts,
         out=str(root / run.name),
     )
 

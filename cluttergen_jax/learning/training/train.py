@@ -6,16 +6,17 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, TypeVar, get_args
 
 from cluttergen_jax.assets import find_pool, public_name
-from cluttergen_jax.config import EvalAction, Preset, stability_record
+from cluttergen_jax.config import EvalAction, Preset, StabilityConfig, stability_record
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
 from cluttergen_jax.learning.networks.config import KIND
 from cluttergen_jax.learning.training.run_folder import Interrupt, RunFolder, hold_run, versions
-from cluttergen_jax.placement.config import placement_record
+from cluttergen_jax.placement.config import PlacementConfig, placement_record
+from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 from cluttergen_jax.schema import Record
 
 if TYPE_CHECKING:
@@ -28,15 +29,14 @@ ACTIONS = get_args(EvalAction)
 class TrainConfig:
     """What one run is given; the fields are arguments of `cluttergen_jax.train`.
 
+    Attributes:
+      problem: what its `SceneSpec` asks for; where that is as usual, the preset decides.
+
     Raises:
       ConfigError: one of them is out of range.
     """
 
-    pool: str = "dining"
-    support: str = "table"
-    change: str = "none"
-    num_objects: int = 10
-    max_attempts: int = 5
+    problem: ProblemConfig = field(default_factory=ProblemConfig)
     preset: Preset = "cpu"
     variant: str = "policy"
     num_attempts: int | None = None
@@ -47,7 +47,6 @@ class TrainConfig:
     encoder_weights: str | None = None
     encoder_frozen: bool = False
     out: str | None = None
-    engine: str = "auto"
     eval_every: int = 0
     eval_episodes: int = 256
     eval_action: str | None = None
@@ -70,22 +69,20 @@ class TrainConfig:
     @property
     def folder(self) -> Path:
         """The run's."""
-        return Path(self.out or f"runs/{public_name(self.pool)}-{self.variant}-{self.seed}")
+        return Path(self.out or f"runs/{public_name(self.problem.pool)}-{self.variant}-{self.seed}")
 
     def settings(self) -> Settings:
         """The preset with what is changed of it."""
         from cluttergen_jax.learning.training.presets import choose_encoder, make_settings
 
         settings = make_settings(self.preset, self.variant)
-        placement = dataclasses.replace(
-            settings.placement, num_objects=self.num_objects, max_attempts=self.max_attempts
-        )
+        placement = _where_usual(self.problem.placement, settings.placement)
         if self.reward is not None:
             placement = dataclasses.replace(placement, reward=self.reward)
         network = choose_encoder(
             settings.network, self.encoder, self.encoder_weights, self.encoder_frozen
         )
-        network = network.with_attempts(self.max_attempts)
+        network = network.with_attempts(placement.max_attempts)
         ppo = dataclasses.replace(
             settings.ppo,
             num_attempts=settings.ppo.num_attempts
@@ -93,9 +90,28 @@ class TrainConfig:
             else self.num_attempts,
             num_envs=settings.ppo.num_envs if self.num_envs is None else self.num_envs,
         )
-        return dataclasses.replace(settings, placement=placement, network=network, ppo=ppo)
+        stability = _where_usual(self.problem.stability, settings.stability)
+        return dataclasses.replace(
+            settings, placement=placement, stability=stability, network=network, ppo=ppo
+        )
 
 
+_Config = TypeVar("_Config", PlacementConfig, StabilityConfig)
+
+
+def _where_usual(asked: _Config, preset: _Config) -> _Config:
+    """What is asked for, with the preset's values where nothing else than usual is."""
+    usual = type(asked)()
+    left_open = {
+        name: getattr(preset, name)
+        for name, value in vars(usual).items()
+        if getattr(asked, name) == value
+    }
+    return dataclasses.replace(asked, **left_open)
+
+
+_ASKED = ("change", "pool", "objects", "repeat", "support", "surface", "region", "polygon")
+"""Fields of a problem that say in which world is trained."""
 _PAPER_PRESETS = ("paper", "paper_code", "paper_cpu")
 
 
@@ -180,17 +196,11 @@ def _run(
     # Brax takes seconds to import, and only who trains needs it.
     from cluttergen_jax.learning.ppo.sharding import is_writer
     from cluttergen_jax.learning.training.run import Evaluator, Run, RunConfig
-    from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 
     settings = settings or config.settings()
     problem = make_problem(
-        ProblemConfig(
-            pool=config.pool,
-            support=config.support,
-            change=config.change,
-            engine=config.engine,
-            placement=settings.placement,
-            stability=settings.stability,
+        dataclasses.replace(
+            config.problem, placement=settings.placement, stability=settings.stability
         )
     )
     folder = RunFolder(config.folder, recipe_of(config, settings))
@@ -219,12 +229,10 @@ def _run(
 
 def recipe_of(config: TrainConfig, settings: Settings) -> Record:
     """What a checkpoint says of how it was made."""
-    # Runs that were begun before regions could change are still runs of the same settings.
-    changed = {} if config.change == "none" else {"change": config.change}
-    return changed | {
-        "pool": config.pool,
-        "pool_hash": find_pool(config.pool).hash,
-        "support": config.support,
+    asked = dataclasses.asdict(config.problem)
+    return {
+        **{name: asked[name] for name in _ASKED},
+        "pool_hash": find_pool(config.problem.pool).hash,
         "variant": config.variant,
         "encoder_weights": config.encoder_weights,
         "preset": config.preset,

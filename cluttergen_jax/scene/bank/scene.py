@@ -95,14 +95,15 @@ def read_scenes(bank: Bank, indices: Sequence[int] | None = None) -> Iterator[Sc
 
 def _scene(bank: Bank, row: BankRow, objects: Sequence[ObjectAsset]) -> Scene:
     recipe = bank.recipe
-    checkpoint = bank.recipe.get("checkpoint")
+    checkpoint = recipe.get("checkpoint")
+    stability, contact = rules_of(bank)
     return Scene(
         names=row.objects,
         objects=tuple(objects),
         poses=row.poses,
         support=bank.support,
-        stability=config_of(StabilityConfig, recipe.get("stability", {}), bank.path),
-        contact=config_of(ContactConfig, recipe.get("contact", {}), bank.path),
+        stability=stability,
+        contact=contact,
         origin=Origin(
             bank=bank.path.resolve().name,
             index=row.index,
@@ -129,6 +130,14 @@ def config_of(kind: type[_Config], values: Mapping[str, Any], path: Path) -> _Co
         return kind(**plain)
     except (TypeError, AttributeError, ConfigError) as error:
         raise record_error(path, error) from error
+
+
+def rules_of(bank: Bank) -> tuple[StabilityConfig, ContactConfig]:
+    """With which a bank's scenes were made (BankError: the recipe is damaged)."""
+    recipe = bank.record.get("recipe", {})
+    stability = config_of(StabilityConfig, recipe.get("stability", {}), bank.path)
+    contact = config_of(ContactConfig, recipe.get("contact", {}), bank.path)
+    return stability, contact
 
 
 def region_of(bank: Bank) -> Rectangle:

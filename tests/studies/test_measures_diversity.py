@@ -9,9 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation.measures.diversity import (
+from cluttergen_jax.evaluation.diversity import embed
+from cluttergen_jax.judging.scene_models import by_object
+from studies.measures.diversity import (
     edge_share,
-    embed,
     independent_distance,
     nearest_distance,
     plan_box_area,
@@ -20,7 +21,6 @@ from cluttergen_jax.evaluation.measures.diversity import (
     scene_kernel,
     vendi_score,
 )
-from cluttergen_jax.judging.scene_models import by_object
 from tests.helpers.worlds import box
 
 REGION = Rectangle((0.1, -0.2), (0.3, 0.2), 0.7)
