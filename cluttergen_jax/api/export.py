@@ -59,9 +59,14 @@ def export(
     from cluttergen_jax.progress import track
     from cluttergen_jax.scene.bank import read_bank
     from cluttergen_jax.scene.bank.hub import local_paths
-    from cluttergen_jax.scene.bank.reference import REFERENCES, parse_reference
     from cluttergen_jax.scene.bank.remote import check_is_here
-    from cluttergen_jax.scene.bank.scene import good_indices, read_scenes, select_rows
+    from cluttergen_jax.scene.bank.scene import (
+        REFERENCES,
+        good_indices,
+        parse_reference,
+        read_scenes,
+        select_rows,
+    )
     from cluttergen_jax.scene.export import BANK_FORMATS, export_bank, export_scenes
     from cluttergen_jax.scene.export.formats import find_format
 

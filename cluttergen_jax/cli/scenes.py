@@ -163,7 +163,7 @@ def run_pull(options: Options) -> None:
     Example: `cluttergen pull me/breakfast --out breakfast`
     """
     from cluttergen_jax.scene.bank import read_bank
-    from cluttergen_jax.scene.bank.digests import without_digests
+    from cluttergen_jax.scene.bank.index import without_digests
 
     if holds_policies(options.name, options.hub, options.revision):
         where = "for a data set of policies"

@@ -39,7 +39,7 @@ from cluttergen_jax.learning.training.variants import HELD_OUT_FAMILIES, TRAININ
 from cluttergen_jax.placement.methods.own import OwnMethod
 from cluttergen_jax.placement.methods.table import LEARNED, METHODS, entry_of
 from cluttergen_jax.placement.problem import ProblemConfig, Standing
-from cluttergen_jax.scene.bank.reference import read_start
+from cluttergen_jax.scene.bank.scene import read_start
 from cluttergen_jax.spec import CROWD, MOST_ON_SHELF
 
 VARIANT_POOLS = {"held_out_families": HELD_OUT_FAMILIES, "training_families": TRAINING_FAMILIES}

@@ -37,8 +37,7 @@ from cluttergen_jax.progress import COMPILING, Progress
 from cluttergen_jax.scene.bank import Bank, BankRow, BankWriter, read_bank
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.record import INDEX
-from cluttergen_jax.scene.bank.reference import missing_text, parse_reference
-from cluttergen_jax.scene.bank.scene import config_of, region_of
+from cluttergen_jax.scene.bank.scene import config_of, missing_text, parse_reference, region_of
 from cluttergen_jax.scene.bank.table import rows_of, table_of
 from cluttergen_jax.scene.bank.writer import names_of
 from cluttergen_jax.schema import digest_of

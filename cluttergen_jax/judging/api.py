@@ -161,8 +161,7 @@ def judge(
       ConfigError: a setting is outside its range, a path does not exist, or no file is a scene.
       BankError: another process writes to `out`.
     """
-    from cluttergen_jax.judging.judge import judge_scenes
-    from cluttergen_jax.judging.rule import JudgeConfig
+    from cluttergen_jax.judging.judge import JudgeConfig, judge_scenes
     from cluttergen_jax.judging.scene_files import find_scenes
 
     check_workers("jobs", jobs)

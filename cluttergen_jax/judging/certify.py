@@ -20,7 +20,6 @@ from cluttergen_jax.cluster import Cluster, each_on
 from cluttergen_jax.config import DETECTORS, ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import writing
-from cluttergen_jax.judging.contacts import contacts_of
 from cluttergen_jax.judging.robustness import (
     ShakeConfig,
     TiltConfig,
@@ -28,7 +27,13 @@ from cluttergen_jax.judging.robustness import (
     shake,
     tilt,
 )
-from cluttergen_jax.judging.scene_models import SceneModels, by_object, each_scene, movement
+from cluttergen_jax.judging.scene_models import (
+    SceneModels,
+    by_object,
+    contacts_of,
+    each_scene,
+    movement,
+)
 from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.physics.standing import horizons_of
 from cluttergen_jax.placement.world import base_name, make_world

@@ -17,8 +17,7 @@ from cluttergen_jax.importing.limited import call_limited
 from cluttergen_jax.importing.readers.mjcf_compile import compile_with_notes
 from cluttergen_jax.importing.readers.opening import check_openable
 from cluttergen_jax.importing.readers.xml_tree import parse_xml, plain_tag
-from cluttergen_jax.judging.sdf_scene import read_sdf_world
-from cluttergen_jax.judging.usd_scene import read_usd
+from cluttergen_jax.judging.worlds import read_sdf_world, read_usd
 
 _SDF = (".sdf", ".world")
 SUFFIXES = (".xml", ".mjcf", ".mjb", ".urdf", ".usd", ".usda", ".usdc", ".usdz", *_SDF)

@@ -24,7 +24,7 @@ from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.standing import StandingCheck, check_standing
 from cluttergen_jax.progress import track
 from cluttergen_jax.scene.bank.bank import Bank, read_bank
-from cluttergen_jax.scene.bank.digests import Change, changes_of, changes_to_scene, without_digests
+from cluttergen_jax.scene.bank.index import Change, changes_of, changes_to_scene, without_digests
 from cluttergen_jax.scene.bank.record import AGAIN, INDEX
 from cluttergen_jax.scene.bank.remote import fetch_scenes
 from cluttergen_jax.scene.bank.scene import config_of

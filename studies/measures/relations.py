@@ -26,8 +26,13 @@ from scipy.spatial import cKDTree
 from cluttergen_jax.assets.hollow import hollow_of
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.geometry import conjugate, rotate, transform_points
-from cluttergen_jax.judging.contacts import Contacts, contacts_of
-from cluttergen_jax.judging.scene_models import SceneModels, StandingModel, each_scene
+from cluttergen_jax.judging.scene_models import (
+    Contacts,
+    SceneModels,
+    StandingModel,
+    contacts_of,
+    each_scene,
+)
 
 SURFACE_SHARE = 0.25
 MAX_VESSEL_TILT = float(np.radians(45.0))

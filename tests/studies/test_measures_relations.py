@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.judging.contacts import contacts_of
-from cluttergen_jax.judging.scene_models import SceneModels
+from cluttergen_jax.judging.scene_models import SceneModels, contacts_of
 from cluttergen_jax.placement.world import make_world
 from studies.measures.relations import (
     Relation,

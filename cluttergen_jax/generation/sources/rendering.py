@@ -27,7 +27,7 @@ from cluttergen_jax.rendering.gl import RendererError, find_backend
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.rendering.sheet import contact_sheet, save_png
 from cluttergen_jax.rendering.viewer.source import SceneSource
-from cluttergen_jax.scene.bank.reference import missing_text
+from cluttergen_jax.scene.bank.scene import missing_text
 from cluttergen_jax.sensing.camera import REALSENSE_SIZE, Camera, CameraPlan
 from cluttergen_jax.views.bop import BopConfig, BopScenes
 from cluttergen_jax.views.images import camera_json, depth_png, npz_of, segmentation_png

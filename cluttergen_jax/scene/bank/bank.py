@@ -139,7 +139,7 @@ class Bank:
 
     @property
     def files(self) -> dict[str, str] | None:
-        """Digests of assets and scene files by path within the bank (`bank.digests`); None in older banks."""
+        """Digests of assets and scene files by path within the bank (`bank.index`); None in older banks."""
         return self.record.get("files")
 
     def scenes(self) -> Iterator[BankRow]:

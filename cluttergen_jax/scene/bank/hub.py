@@ -20,8 +20,7 @@ from cluttergen_jax.kept_folder import hold_folder, lock_beside
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.card import write_card
-from cluttergen_jax.scene.bank.digests import changes_of, without_digests
-from cluttergen_jax.scene.bank.index import BankIndex
+from cluttergen_jax.scene.bank.index import BankIndex, changes_of, without_digests
 from cluttergen_jax.scene.bank.record import INDEX, READER, NewerBankError
 from cluttergen_jax.scene.bank.remote import check_is_here, fetch_mirror, is_url
 from cluttergen_jax.schema import digest_of

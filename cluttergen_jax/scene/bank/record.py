@@ -67,7 +67,7 @@ class AssetDigests(TypedDict):
 class Record(TypedDict, total=False):
     """The record of a bank; blocks hold it without `num_scenes` and `files`, which change while they stay.
 
-    `files` has digests by path within the bank (`bank.digests`).
+    `files` has digests by path within the bank (`bank.index`).
     """
 
     num_scenes: int

@@ -31,9 +31,8 @@ from cluttergen_jax.scene.bank.blocks import (
     digest_of_file,
     is_whole,
 )
-from cluttergen_jax.scene.bank.digests import digests_in
 from cluttergen_jax.scene.bank.hub import is_of_a_bank
-from cluttergen_jax.scene.bank.index import BankIndex
+from cluttergen_jax.scene.bank.index import BankIndex, digests_in
 from cluttergen_jax.scene.bank.record import (
     FORMAT,
     INDEX,
