@@ -38,9 +38,9 @@ from cluttergen_jax.kept_folder import lock_beside
 from cluttergen_jax.scene import Scene, scene_cameras
 from cluttergen_jax.scene.collection import check_alike
 from cluttergen_jax.scene.export.formats import FORMATS, Format, find_format, own_record
-from cluttergen_jax.scene.export.meshes import SUPPORT_FOLDER
 from cluttergen_jax.scene.export.molmospaces import read_grasps, write_grasps
 from cluttergen_jax.scene.export.scene_json import cameras_record, objects_record
+from cluttergen_jax.scene.export.shapes import SUPPORT_FOLDER
 
 _READER = "bank_reader.py"
 _PARTS = ("bank.json", "README.md", _READER, "scenes-*.parquet", "assets")
