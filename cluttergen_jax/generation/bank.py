@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 from flax import struct
 
-from cluttergen_jax.config import ContactConfig, StabilityConfig, check_range
+from cluttergen_jax.config import check_range
 from cluttergen_jax.errors import BankError, ConfigError, range_text
 from cluttergen_jax.generation.arguments import check_key, is_known
 from cluttergen_jax.generation.bank_world import BankAttachment, attach_bank
@@ -22,7 +22,7 @@ from cluttergen_jax.placement.region import from_pose
 from cluttergen_jax.scene import Scene, SceneCollection
 from cluttergen_jax.scene.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.hub import find_bank
-from cluttergen_jax.scene.bank.scene import PlacedAssets, SceneArrayReader, config_of, join_scenes
+from cluttergen_jax.scene.bank.scene import PlacedAssets, SceneArrayReader, join_scenes
 from cluttergen_jax.scene.cameras import scene_cameras
 from cluttergen_jax.scene.collection import SceneModel, compile_scenes
 from cluttergen_jax.scene.scene import KEYFRAME
@@ -102,14 +102,13 @@ class BankArrays(struct.PyTreeNode):
 
     def waiting_scene(self) -> Scene:
         """All K objects as one scene on the bank's support, where they wait, with its cameras."""
-        stability, contact = _rules_of(self.bank)
         return Scene(
             self.names,
             self.compiled.objects,
             self.compiled.model.qpos0.reshape(-1, 7),
             self.bank.support,
-            stability,
-            contact,
+            self.bank.stability,
+            self.bank.contact,
             cameras=scene_cameras(self.bank.support),
         )
 
@@ -260,16 +259,9 @@ def _check_any(bank: Bank, found: Sized) -> None:
 
 def _compile_model(bank: Bank, reader: SceneArrayReader) -> SceneModel:
     """The model of all scenes that a reader has seen."""
-    stability, contact = _rules_of(bank)
     assets = [bank.object(name) for name in reader.names]
-    return compile_scenes(assets, reader.most, bank.support, stability.timestep, contact)
-
-
-def _rules_of(bank: Bank) -> tuple[StabilityConfig, ContactConfig]:
-    """With which its scenes were made."""
-    recipe = bank.record.get("recipe", {})
-    stability = config_of(StabilityConfig, recipe.get("stability", {}), bank.path)
-    return stability, config_of(ContactConfig, recipe.get("contact", {}), bank.path)
+    timestep = bank.stability.timestep
+    return compile_scenes(assets, reader.most, bank.support, timestep, bank.contact)
 
 
 @with_own_settings

@@ -19,7 +19,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import Pool, find_pool
 from cluttergen_jax.assets.support import SupportAsset, recorded_ring
 from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.config import REPAIR, ContactConfig, StabilityConfig
+from cluttergen_jax.config import REPAIR
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.files import file_whole, write_atomically, writing
 from cluttergen_jax.generation.files import write_files
@@ -37,7 +37,7 @@ from cluttergen_jax.progress import COMPILING, Progress
 from cluttergen_jax.scene.bank import Bank, BankRow, BankWriter, read_bank
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.record import INDEX
-from cluttergen_jax.scene.bank.scene import config_of, missing_text, parse_reference, region_of
+from cluttergen_jax.scene.bank.scene import missing_text, parse_reference, region_of
 from cluttergen_jax.scene.bank.table import rows_of, table_of
 from cluttergen_jax.scene.bank.writer import names_of
 from cluttergen_jax.schema import digest_of
@@ -130,8 +130,8 @@ def _layouts_of_bank(bank: Bank, numbers: Sequence[int] | None) -> LayoutSet:
         support=str(recipe.get("support", "")),
         region=region_of(bank),
         polygon=recorded_ring(recipe.get("polygon", ())),
-        stability=config_of(StabilityConfig, recipe.get("stability", {}), bank.path),
-        contact=config_of(ContactConfig, recipe.get("contact", {}), bank.path),
+        stability=bank.stability,
+        contact=bank.contact,
     )
     return LayoutSet(tuple(layouts), bank.support, config)
 

@@ -37,7 +37,6 @@ from cluttergen_jax.scene.bank.blocks import StoredBlocks
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.index import BankIndex
 from cluttergen_jax.scene.bank.remote import check_is_here
-from cluttergen_jax.scene.bank.scene import config_of
 from cluttergen_jax.scene.bank.table import CERTIFICATE, is_certified, schema_of
 from cluttergen_jax.statistics import finite
 
@@ -158,11 +157,8 @@ class Certifier:
         recipe = bank.record["recipe"]
         asset_of = lru_cache(maxsize=None)(bank.object)
         names = recipe.get("names")
-        if (
-            not isinstance(names, list)
-            or not names
-            or not all(isinstance(name, str) for name in names)
-        ):
+        is_named = isinstance(names, list) and all(isinstance(name, str) for name in names)
+        if not (names and is_named):
             raise BankError(f"{bank.path}: its record does not name the objects of its world")
         return cls(
             path=bank.path,
@@ -170,8 +166,8 @@ class Certifier:
             if recipe.get("shelf")
             else tuple(asset_of(base_name(name)) for name in names),
             support=bank.support,
-            stability=config_of(StabilityConfig, recipe.get("stability", {}), bank.path),
-            contact=config_of(ContactConfig, recipe.get("contact", {}), bank.path),
+            stability=bank.stability,
+            contact=bank.contact,
             seconds=seconds,
             jobs=jobs,
         )

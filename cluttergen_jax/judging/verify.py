@@ -27,7 +27,6 @@ from cluttergen_jax.scene.bank.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.index import Change, changes_of, changes_to_scene
 from cluttergen_jax.scene.bank.record import AGAIN, INDEX
 from cluttergen_jax.scene.bank.remote import fetch_scenes
-from cluttergen_jax.scene.bank.scene import config_of
 from cluttergen_jax.types import small_length
 
 _SHORTEST_STEP = 1e-4
@@ -203,7 +202,7 @@ def _limits_of(path: Path, bank: Bank | None, check: VerifyConfig) -> VerifyConf
     if bank is None:
         return check
     usual = StabilityConfig()
-    asked = config_of(StabilityConfig, bank.recipe.get("stability", {}), bank.path)
+    asked = bank.stability
     if (
         check.max_shift == VerifyConfig.max_shift
         and asked.stand_full_shift != usual.stand_full_shift

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -15,9 +14,7 @@ import pyarrow.compute as pc
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import Standing
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene import Origin, Scene
@@ -115,7 +112,6 @@ def read_start(text: str | None) -> Standing | None:
 
 
 _LEAVE_OUT = "leaving those out; without numbers, all that stand are taken"
-_Config = TypeVar("_Config", bound=StabilityConfig | ContactConfig | PlacementConfig)
 _LISTS = ("is_success", "is_placed", "objects")
 _COLUMNS = ("index", *_LISTS, "poses")
 
@@ -142,14 +138,7 @@ def select_rows(bank: Bank, indices: Sequence[int] | None = None) -> list[BankRo
     Raises:
       BankError: one of them is not there or failed, or none succeeded.
     """
-    if indices is None:
-        rows = list(bank.scenes())
-        good = [row for row in rows if row.is_success]
-        if not good:
-            raise BankError(
-                f"{bank.path}: none of its {len(rows)} scenes succeeded", hint="more scenes"
-            )
-        return good
+    indices = good_indices(bank) if indices is None else indices
     by_index = bank.rows(indices)
     faults = []
     if len(by_index) < len(set(indices)):
@@ -183,14 +172,14 @@ def read_scenes(bank: Bank, indices: Sequence[int] | None = None) -> Iterator[Sc
 
 def _scene(bank: Bank, row: BankRow, objects: Sequence[ObjectAsset]) -> Scene:
     recipe = bank.recipe
-    checkpoint = bank.recipe.get("checkpoint")
+    checkpoint = recipe.get("checkpoint")
     return Scene(
         names=row.objects,
         objects=tuple(objects),
         poses=row.poses,
         support=bank.support,
-        stability=config_of(StabilityConfig, recipe.get("stability", {}), bank.path),
-        contact=config_of(ContactConfig, recipe.get("contact", {}), bank.path),
+        stability=bank.stability,
+        contact=bank.contact,
         origin=Origin(
             bank=bank.path.resolve().name,
             index=row.index,
@@ -205,18 +194,6 @@ def _scene(bank: Bank, row: BankRow, objects: Sequence[ObjectAsset]) -> Scene:
             versions=recipe.get("versions", {}),
         ),
     )
-
-
-def config_of(kind: type[_Config], values: Mapping[str, Any], path: Path) -> _Config:
-    """A config as a bank's recipe has it (BankError: the recipe is damaged)."""
-    known = {field.name for field in fields(kind)}
-    try:
-        plain: dict[str, Any] = {
-            key: tuple(v) if isinstance(v, list) else v for key, v in values.items() if key in known
-        }
-        return kind(**plain)
-    except (TypeError, AttributeError, ConfigError) as error:
-        raise record_error(path, error) from error
 
 
 def region_of(bank: Bank) -> Rectangle:
