@@ -310,10 +310,10 @@ class _Model:
                         f"{path}: a collider of {self._name!r} is a mesh that is not convex",
                         allowed,
                     )
-                mesh = self._spec.add_mesh(name=f"{name}-{index}-{len(self._spec.meshes)}")
-                mesh.uservert = piece.mesh.vertices.astype(np.float32).ravel()
-                mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-                yield body.add_geom(type=_GEOM.mjGEOM_MESH, meshname=mesh.name)
+                geom = body.add_geom()
+                own = f"{name}-{index}-{len(self._spec.meshes)}"
+                _make_hull(self._spec, geom, own, piece.mesh.vertices)
+                yield geom
             return
         geom = body.add_geom()
         if form.tag == "plane":
@@ -340,6 +340,15 @@ class _Model:
             geom.size = (radius, height / 2, 0)
         _put(geom, place)
         yield geom
+
+
+def _make_hull(spec: mujoco.MjSpec, geom: mujoco.MjsGeom, name: str, vertices: np.ndarray) -> None:
+    """Makes a geom the convex hull of points, a mesh of that name."""
+    mesh = spec.add_mesh(name=name)
+    mesh.uservert = vertices.astype(np.float32).ravel()
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+    geom.type = _GEOM.mjGEOM_MESH
+    geom.meshname = name
 
 
 def _frame_of(link: Link) -> np.ndarray:
@@ -516,11 +525,7 @@ def _add_collider(
         geom.type = _GEOM.mjGEOM_PLANE
         geom.size = (0, 0, 1)
     elif kind == "Mesh":
-        mesh = spec.add_mesh(name=geom.name)
-        mesh.uservert = (_hull_points(prim) * scale).astype(np.float32).ravel()
-        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-        geom.type = _GEOM.mjGEOM_MESH
-        geom.meshname = mesh.name
+        _make_hull(spec, geom, geom.name, _hull_points(prim) * scale)
     elif kind == "Sphere" and np.ptp(scale) < 1e-6:
         radius = UsdGeom.Sphere(prim).GetRadiusAttr().Get()
         geom.type = _GEOM.mjGEOM_SPHERE
