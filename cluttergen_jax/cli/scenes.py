@@ -124,9 +124,7 @@ def run_stats(path: Positional[str], card: bool = False, json: bool = False) -> 
       json: print JSON.
     """
     from cluttergen_jax.kept_folder import hold_folder
-    from cluttergen_jax.scene.bank import read_bank
-    from cluttergen_jax.scene.bank.card import CARD, write_card
-    from cluttergen_jax.scene.bank.stats import stats_of, stats_text
+    from cluttergen_jax.scene.bank import CARD, read_bank, stats_of, stats_text, write_card
 
     bank = read_bank(path)
     stats = stats_of(bank)
@@ -146,8 +144,7 @@ def run_push(options: Options) -> None:
 
     Example: `cluttergen push out me/breakfast`
     """
-    from cluttergen_jax.scene.bank import read_bank
-    from cluttergen_jax.scene.bank.hub import local_paths
+    from cluttergen_jax.scene.bank import local_paths, read_bank
 
     for path in local_paths(read_bank(options.path)):
         print(f"note: the bank's record names a path of this machine, and will show it: {path}")

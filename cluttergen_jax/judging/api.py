@@ -64,7 +64,7 @@ def verify(
     """
     from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.judging.verify import verify_files
-    from cluttergen_jax.scene.bank.remote import bank_folder
+    from cluttergen_jax.scene.bank import bank_folder
 
     return verify_files(
         bank_folder(path),

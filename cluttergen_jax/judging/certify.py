@@ -20,24 +20,32 @@ from cluttergen_jax.cluster import Cluster, each_on
 from cluttergen_jax.config import DETECTORS, ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import writing
-from cluttergen_jax.judging.robustness import (
+from cluttergen_jax.judging.scene_models import (
+    SceneModels,
     ShakeConfig,
+    StandingModel,
     TiltConfig,
+    contacts_of,
+    movement,
     robust,
     shake,
     tilt,
 )
-from cluttergen_jax.judging.scene_models import SceneModels, StandingModel, contacts_of, movement
 from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.physics.standing import horizons_of
 from cluttergen_jax.placement.world import base_name, make_world
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.scene.bank.bank import Bank, read_bank
-from cluttergen_jax.scene.bank.blocks import StoredBlocks
-from cluttergen_jax.scene.bank.card import write_card
-from cluttergen_jax.scene.bank.index import BankIndex
-from cluttergen_jax.scene.bank.remote import check_is_here
-from cluttergen_jax.scene.bank.table import CERTIFICATE, is_certified, schema_of
+from cluttergen_jax.scene.bank import (
+    CERTIFICATE,
+    Bank,
+    BankIndex,
+    StoredBlocks,
+    check_is_here,
+    is_certified,
+    read_bank,
+    schema_of,
+    write_card,
+)
 from cluttergen_jax.statistics import finite
 
 _RENAMED = {

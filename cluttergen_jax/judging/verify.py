@@ -23,10 +23,16 @@ from cluttergen_jax.files import check_utf8, inside, write_atomically
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.standing import StandingCheck, check_standing
 from cluttergen_jax.progress import track
-from cluttergen_jax.scene.bank.bank import Bank, read_bank
-from cluttergen_jax.scene.bank.index import Change, changes_of, changes_to_scene
-from cluttergen_jax.scene.bank.record import AGAIN, INDEX
-from cluttergen_jax.scene.bank.remote import fetch_scenes
+from cluttergen_jax.scene.bank import (
+    AGAIN,
+    INDEX,
+    Bank,
+    Change,
+    changes_of,
+    changes_to_scene,
+    fetch_scenes,
+    read_bank,
+)
 from cluttergen_jax.types import small_length
 
 _SHORTEST_STEP = 1e-4

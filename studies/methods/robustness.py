@@ -14,8 +14,14 @@ from cluttergen_jax.evaluation.cells import Column, number, share, share_of, tab
 from cluttergen_jax.evaluation.records import Result, Row
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.trial import Trial, grid
-from cluttergen_jax.judging.robustness import TiltConfig, shake, tilt
-from cluttergen_jax.judging.scene_models import SceneModels, contacts_of, movement
+from cluttergen_jax.judging.scene_models import (
+    SceneModels,
+    TiltConfig,
+    contacts_of,
+    movement,
+    shake,
+    tilt,
+)
 from cluttergen_jax.placement.config import MIN_MARGIN
 from cluttergen_jax.placement.methods.table import BASELINES
 from cluttergen_jax.statistics import finite, proportion

@@ -28,8 +28,8 @@ from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.scene import FixedCamera, Scene
 from cluttergen_jax.scene.export.shapes import (
     SUPPORT_FOLDER,
-    Solid,
-    Surface,
+    CollisionShape,
+    VisualShape,
     factor_of,
     friction_of,
     harmonic_of,
@@ -52,7 +52,7 @@ _PACKAGE = "cluttergen"
 PACKAGE_XML = f'<package format="2"><name>{_PACKAGE}</name></package>\n'
 
 
-def _solids(body: ObjectAsset | SupportAsset) -> Iterator[tuple[Solid, str]]:
+def _solids(body: ObjectAsset | SupportAsset) -> Iterator[tuple[CollisionShape, str]]:
     """Each solid with what it is an element of: "collision", and "visual" where solids are drawn."""
     for solid in solids_of(body):
         yield solid, "collision"
@@ -275,7 +275,7 @@ def _add_mesh(parent: ET.Element, file: str) -> ET.Element:
     return mesh
 
 
-def _add_visual(link: ET.Element, surface: Surface, folder: str) -> None:
+def _add_visual(link: ET.Element, surface: VisualShape, folder: str) -> None:
     visual = ET.SubElement(link, "visual", name=surface.name)
     _add_mesh(visual, folder + surface.file)
     if surface.image is None:
@@ -299,7 +299,7 @@ def _add_transparency(visual: ET.Element, rgba: tuple[float, ...]) -> None:
 
 def _add_solid(
     element: ET.Element,
-    solid: Solid,
+    solid: CollisionShape,
     kind: str,
     folder: str,
     contact: ContactConfig,

@@ -34,7 +34,13 @@ from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.placement.world import unique_names
 from cluttergen_jax.scene.cameras import FixedCamera
-from cluttergen_jax.scene.export.shapes import Solid, Surface, shows_solids, solids_of, surfaces_of
+from cluttergen_jax.scene.export.shapes import (
+    CollisionShape,
+    VisualShape,
+    shows_solids,
+    solids_of,
+    surfaces_of,
+)
 
 _UNSEEN: dict[str, str] = {
     "contype": "0",
@@ -315,7 +321,7 @@ def _add_support(assets: ET._Element, bodies: _SupportBodies, support: SupportAs
         _add_visual_geom(assets, bodies.of("pieces", index), mesh, surface.piece, "support/")
 
 
-def _shape(solid: Solid, mesh: str) -> dict[str, str]:
+def _shape(solid: CollisionShape, mesh: str) -> dict[str, str]:
     """Attributes of a geom that say its form, and where it is."""
     if (box := solid.box) is None:
         return {"type": "mesh", "mesh": mesh}
@@ -441,7 +447,7 @@ def _drawn(rgba: tuple[float, ...]) -> dict[str, str]:
     return _UNSEEN | {"group": _DRAWN, "rgba": _text(rgba)}
 
 
-def _add_surface(assets: ET._Element, body: ET._Element, surface: Surface) -> None:
+def _add_surface(assets: ET._Element, body: ET._Element, surface: VisualShape) -> None:
     name = surface.name
     ET.SubElement(assets, "mesh", _weightless(surface.piece), name=name, file=surface.file)
     geom = ET.SubElement(body, "geom", _drawn(surface.piece.rgba), type="mesh", mesh=name)

@@ -70,7 +70,7 @@ def identifiers(names: Sequence[str]) -> list[str]:
     return result
 
 
-class Surface(NamedTuple):
+class VisualShape(NamedTuple):
     """What is seen of a body: a piece, an OBJ file of its folder.
 
     Attributes:
@@ -88,7 +88,7 @@ class Surface(NamedTuple):
         return f"{self.name}.obj"
 
 
-class Solid(NamedTuple):
+class CollisionShape(NamedTuple):
     """What a body collides with: a box, or a convex part, an OBJ file of its folder.
 
     Attributes:
@@ -103,7 +103,7 @@ class Solid(NamedTuple):
     box: Box | None = None
 
 
-def surfaces_of(body: ObjectAsset | SupportAsset) -> list[Surface]:
+def surfaces_of(body: ObjectAsset | SupportAsset) -> list[VisualShape]:
     """The coloured surfaces; of an object without any its collision parts.
 
     Images of objects lie in a folder that all share, those of the support in its own.
@@ -114,7 +114,7 @@ def surfaces_of(body: ObjectAsset | SupportAsset) -> list[Surface]:
         pieces = drawn_pieces(body)
         folder = SHARED_IMAGES
     return [
-        Surface(
+        VisualShape(
             f"visual-{index}",
             piece,
             None if piece.texture is None else folder + piece.texture.file_name,
@@ -123,12 +123,13 @@ def surfaces_of(body: ObjectAsset | SupportAsset) -> list[Surface]:
     ]
 
 
-def solids_of(body: ObjectAsset | SupportAsset) -> list[Solid]:
+def solids_of(body: ObjectAsset | SupportAsset) -> list[CollisionShape]:
     """The boxes and the parts."""
     boxes = body.boxes if isinstance(body, SupportAsset) else ()
-    solids = [Solid(f"box-{index}", box.rgba, box=box) for index, box in enumerate(boxes)]
+    solids = [CollisionShape(f"box-{index}", box.rgba, box=box) for index, box in enumerate(boxes)]
     return solids + [
-        Solid(f"part-{index}", PART_RGBA, part_name(index)) for index in range(len(body.parts))
+        CollisionShape(f"part-{index}", PART_RGBA, part_name(index))
+        for index in range(len(body.parts))
     ]
 
 
@@ -153,7 +154,7 @@ def write_meshes(folder: Path, body: ObjectAsset | SupportAsset) -> None:
     write_images(images, [each.texture for each in body.pieces if each.texture is not None])
 
 
-def _write_surface(folder: Path, surface: Surface) -> None:
+def _write_surface(folder: Path, surface: VisualShape) -> None:
     # Normals because Drake draws no OBJ without them.
     path = folder / surface.file
     piece = surface.piece
