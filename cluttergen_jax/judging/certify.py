@@ -22,7 +22,6 @@ from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import writing
 from cluttergen_jax.judging.scene_models import (
     SceneModels,
-    ShakeConfig,
     StandingModel,
     TiltConfig,
     contacts_of,
@@ -265,7 +264,6 @@ def certificates(
     poses: np.ndarray,
     is_placed: np.ndarray,
     seconds: float = 2.0,
-    shake_config: ShakeConfig | None = None,
     num_threads: int = 0,
 ) -> list[dict[str, Any]]:
     """One certificate a scene, ready to become a bank's columns.
@@ -299,7 +297,7 @@ def certificates(
         name: movement(models.with_detector(name), poses, is_placed, (seconds,), num_threads)
         for name in DETECTORS
     }
-    scores = shake(models, poses, is_placed, shake_config, num_threads)
+    scores = shake(models, poses, is_placed, num_threads=num_threads)
     speeds = residual_speeds(models, poses, is_placed, num_threads)
     stands = tilt(models, poses, is_placed, tilt_config, num_threads)
     is_robust = robust(models, poses, is_placed, num_threads=num_threads)

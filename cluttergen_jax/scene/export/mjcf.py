@@ -42,6 +42,8 @@ from cluttergen_jax.scene.export.shapes import (
     surfaces_of,
 )
 
+_ASSETS = "../assets"
+"""The folder `assets`, seen from that of scenes' files."""
 _UNSEEN: dict[str, str] = {
     "contype": "0",
     "conaffinity": "0",
@@ -70,7 +72,6 @@ def scene_xml(
     support: SupportAsset,
     stability: StabilityConfig,
     contact: ContactConfig,
-    assets_path: str = "../assets",
     names: Sequence[str] | None = None,
     cameras: Sequence[FixedCamera] = (),
     names_detector: bool = True,
@@ -81,7 +82,6 @@ def scene_xml(
     Args:
       objects: N assets in the order of placement.
       poses: f32[N, 7], world, metres, wxyz.
-      assets_path: the bank's `assets` folder, relative to where the text will be saved.
       names: of the bodies, unique; None makes them from the assets' names.
       cameras: around the support.
       names_detector: where the scene was checked with both of MuJoCo's detectors, the file chooses libccd by
@@ -90,13 +90,13 @@ def scene_xml(
         before those of the objects in the keyframe.
     """
     root = ET.Element("mujoco", model="cluttergen scene")
-    compiler = ET.SubElement(root, "compiler", angle="radian", meshdir=assets_path)
+    compiler = ET.SubElement(root, "compiler", angle="radian", meshdir=_ASSETS)
     if any(
         piece.texture
         for pieces in (support.pieces, *(o.pieces for o in objects))
         for piece in pieces
     ):
-        compiler.set("texturedir", assets_path)
+        compiler.set("texturedir", _ASSETS)
     _add_options(root, stability, contact, names_detector and stability.both_detectors)
     _add_visual(root)
     assets = ET.SubElement(root, "asset")
@@ -305,12 +305,12 @@ class _SupportBodies:
 
 def _add_support(assets: ET._Element, bodies: _SupportBodies, support: SupportAsset) -> None:
     group = str(VISUAL_GROUP if shows_solids(support) else COLLISION_GROUP)
-    boxes = len(support.boxes)
     for number, solid in enumerate(solids_of(support)):
         name = f"support.{solid.name}"
-        body = bodies.of("boxes", number)
-        if solid.box is None:
-            body = bodies.of("parts", number - boxes)
+        if solid.box is not None:
+            body = bodies.of("boxes", number)
+        else:
+            body = bodies.of("parts", number - len(support.boxes))
             ET.SubElement(assets, "mesh", name=name, file=f"support/{solid.file}")
         shown = {"rgba": _text(solid.rgba), "group": group}
         ET.SubElement(body, "geom", {"name": name} | _shape(solid, name) | shown)
@@ -325,13 +325,8 @@ def _shape(solid: CollisionShape, mesh: str) -> dict[str, str]:
     """Attributes of a geom that say its form, and where it is."""
     if (box := solid.box) is None:
         return {"type": "mesh", "mesh": mesh}
-    turn = _text(yaw_quaternion(box.yaw))
-    return {
-        "type": "box",
-        "pos": _text(box.center),
-        "quat": turn,
-        "size": _text(box.half_extents),
-    }
+    place = {"pos": _text(box.center), "quat": _text(yaw_quaternion(box.yaw))}
+    return {"type": "box"} | place | {"size": _text(box.half_extents)}
 
 
 def _add_meshes(assets: ET._Element, asset: ObjectAsset, folder: str) -> None:
@@ -368,15 +363,9 @@ def _add_body(
     ET.SubElement(body, "freejoint", name=name)
     _add_inertial(body, asset)
     own = _own_contact_attributes(asset, contact)
-    for index in range(len(asset.parts)):
-        ET.SubElement(
-            body,
-            "geom",
-            own,
-            type="mesh",
-            mesh=f"{asset.name}.part-{index}",
-            group=str(COLLISION_GROUP),
-        )
+    for solid in solids_of(asset):
+        shape = own | _shape(solid, f"{asset.name}.{solid.name}")
+        ET.SubElement(body, "geom", shape, group=str(COLLISION_GROUP))
     for index, piece in enumerate(asset.pieces):
         _add_visual_geom(assets, body, f"{asset.name}.visual-{index}", piece, images)
 
