@@ -89,7 +89,11 @@ class _Builder:
             }
             children.append(self._add("nodes", node))
         children += [self._camera(each) for each in scene.cameras if not suffix]
-        world = {"name": "world" + suffix, "rotation": _Y_UP, "children": children}
+        world: dict[str, object] = {
+            "name": "world" + suffix,
+            "rotation": _Y_UP,
+            "children": children,
+        }
         return self._add("nodes", world)
 
     def _camera(self, camera: FixedCamera) -> int:
