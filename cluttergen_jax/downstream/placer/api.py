@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cluttergen_jax import SceneSpec
 from cluttergen_jax.config import Method, check_range, check_workers
 from cluttergen_jax.downstream.words import (
     MAX_PAIRS,
@@ -21,7 +22,6 @@ from cluttergen_jax.files import check_folder
 from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.placement import entry_of
-from cluttergen_jax.spec import SceneSpec
 
 if TYPE_CHECKING:
     from cluttergen_jax.downstream.placer.evaluation.evaluate import PlacerComparison

@@ -7,13 +7,13 @@ from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cluttergen_jax import SceneSpec
 from cluttergen_jax.config import FilmFormat, Method, check_names, check_range, check_workers
 from cluttergen_jax.downstream.words import MAX_NOISE, RecordFormat, RobotTask
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_file, check_folder
 from cluttergen_jax.kept_folder import hold_file
 from cluttergen_jax.numerics import with_own_settings
-from cluttergen_jax.spec import SceneSpec
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets import Rectangle
