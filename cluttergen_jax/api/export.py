@@ -57,11 +57,16 @@ def export(
       MissingExtraError: the format needs an extra that is not installed.
     """
     from cluttergen_jax.progress import track
-    from cluttergen_jax.scene.bank import read_bank
-    from cluttergen_jax.scene.bank.hub import local_paths
-    from cluttergen_jax.scene.bank.reference import REFERENCES, parse_reference
-    from cluttergen_jax.scene.bank.remote import check_is_here
-    from cluttergen_jax.scene.bank.scene import good_indices, read_scenes, select_rows
+    from cluttergen_jax.scene.bank import (
+        REFERENCES,
+        check_is_here,
+        good_indices,
+        local_paths,
+        parse_reference,
+        read_bank,
+        read_scenes,
+        select_rows,
+    )
     from cluttergen_jax.scene.export import BANK_FORMATS, export_bank, export_scenes
     from cluttergen_jax.scene.export.formats import find_format
 
@@ -156,7 +161,7 @@ def push_bank(
         be reached.
       MissingExtraError: the extra `hub` is not installed.
     """
-    from cluttergen_jax.scene.bank.hub import push
+    from cluttergen_jax.scene.bank import push
 
     return push(path, name, hub, is_private, allow_outside)
 
@@ -192,7 +197,7 @@ def pull_bank(
       UnsafePathError: it names paths outside of its folder.
       MissingExtraError: the extra `hub` is not installed.
     """
-    from cluttergen_jax.scene.bank.hub import pull
+    from cluttergen_jax.scene.bank import pull
 
     return pull(name, out, hub, revision, overwrite, allow_unchecked)
 
@@ -226,7 +231,7 @@ def pull_policies(
     from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
     from cluttergen_jax.learning.policies.embedded import pulled_root
     from cluttergen_jax.learning.ppo.checkpoint import check_weights
-    from cluttergen_jax.scene.bank.hub import hub_of
+    from cluttergen_jax.scene.bank import hub_of
 
     place = hub_of(hub)
     root = pulled_root()
@@ -260,7 +265,7 @@ def pull_policies(
 
 def holds_policies(name: str, hub: str | None = None, revision: str | None = None) -> bool:
     """Whether a data set on a hub holds checkpoints and no bank; the errors are those of `pull_bank`."""
-    from cluttergen_jax.scene.bank.hub import hub_of
+    from cluttergen_jax.scene.bank import hub_of
 
     files = hub_of(hub).listing(name, revision)[1]
     return "bank.json" not in files and any(each.endswith("/record.json") for each in files)

@@ -223,7 +223,7 @@ def make_dataset(
     from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.rendering.gl import find_backend
     from cluttergen_jax.rendering.renderer import check_size
-    from cluttergen_jax.scene.bank.remote import bank_folder
+    from cluttergen_jax.scene.bank import bank_folder
     from cluttergen_jax.sensing import parse_cameras
     from cluttergen_jax.views.dataset import ViewConfig, make
 

@@ -124,9 +124,7 @@ def run_stats(path: Positional[str], card: bool = False, json: bool = False) -> 
       json: print JSON.
     """
     from cluttergen_jax.kept_folder import hold_folder
-    from cluttergen_jax.scene.bank import read_bank
-    from cluttergen_jax.scene.bank.card import CARD, write_card
-    from cluttergen_jax.scene.bank.stats import stats_of, stats_text
+    from cluttergen_jax.scene.bank import CARD, read_bank, stats_of, stats_text, write_card
 
     bank = read_bank(path)
     stats = stats_of(bank)
@@ -146,8 +144,7 @@ def run_push(options: Options) -> None:
 
     Example: `cluttergen push out me/breakfast`
     """
-    from cluttergen_jax.scene.bank import read_bank
-    from cluttergen_jax.scene.bank.hub import local_paths
+    from cluttergen_jax.scene.bank import local_paths, read_bank
 
     for path in local_paths(read_bank(options.path)):
         print(f"note: the bank's record names a path of this machine, and will show it: {path}")
@@ -163,7 +160,6 @@ def run_pull(options: Options) -> None:
     Example: `cluttergen pull me/breakfast --out breakfast`
     """
     from cluttergen_jax.scene.bank import read_bank
-    from cluttergen_jax.scene.bank.digests import without_digests
 
     if holds_policies(options.name, options.hub, options.revision):
         where = "for a data set of policies"
@@ -172,8 +168,7 @@ def run_pull(options: Options) -> None:
         return
     out = options.out or PurePosixPath(options.name).name
     bank = read_bank(options.call(pull_bank, out=out))
-    unchecked = without_digests(bank)
-    checked = f"it has no digests of its {unchecked}" if unchecked else "every file was checked"
+    checked = "every file was checked" if bank.files else "it has no digests of its files"
     print(f"pulled     {bank.num_scenes} scenes to {bank.path}; {checked}")
 
 

@@ -23,6 +23,8 @@ SegmenterInput = Literal["colour", "depth"]
 # Of a split of a data set: what a larger number means is a slip of the hand.
 MAX_VIEWS = 1_000_000
 MAX_PAIRS = 10_000_000
+MOST_KNOWN = 200
+"""Objects of a pool that a segmenter knows, at most."""
 
 MAX_NOISE = 10.0
 """Times the noise of a usual depth camera."""

@@ -31,7 +31,7 @@ from cluttergen_jax.learning.training.suite import (
 from cluttergen_jax.learning.training.worlds import HELD_OUT_FAMILIES, TRAINING_FAMILIES, variants
 from cluttergen_jax.placement.methods.table import LEARNED, METHODS, OwnMethod, entry_of
 from cluttergen_jax.placement.problem import ProblemConfig, Standing
-from cluttergen_jax.scene.bank.reference import read_start
+from cluttergen_jax.scene.bank.scene import read_start
 
 VARIANT_POOLS = {"held_out_families": HELD_OUT_FAMILIES, "training_families": TRAINING_FAMILIES}
 """Names of pools of the modeller's variants, which no folder holds, and the families of their objects."""

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.files import write_atomically
-from cluttergen_jax.schema import SchemaError, checked_record, digest_of, with_checksum
+from cluttergen_jax.schema import SchemaError, checked_record, digest_of, record_bytes
 
 FORMAT = 1
 _LONGEST = 180
@@ -96,9 +96,7 @@ class Store:
             np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
             path = self.path(title, key)
             write_atomically(path.with_suffix(".npz"), buffer.getvalue())
-            write_atomically(
-                path, json_bytes(with_checksum({**stored, _SCENES: digest_of(buffer.getvalue())}))
-            )
+            write_atomically(path, record_bytes({**stored, _SCENES: digest_of(buffer.getvalue())}))
         return stored
 
     def keep(
@@ -111,7 +109,7 @@ class Store:
         """
         if self.root is not None:
             stored = {"format": FORMAT, "key": key, **(made or {}), "figures": figures}
-            write_atomically(self.path(title, key), json_bytes(with_checksum(stored)))
+            write_atomically(self.path(title, key), record_bytes(stored))
         return json.loads(json.dumps(figures))
 
     def remove(self, title: str, key: str) -> None:

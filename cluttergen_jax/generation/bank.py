@@ -21,7 +21,7 @@ from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.placement import from_pose
 from cluttergen_jax.scene import Bank, Scene, SceneCollection, read_bank, scene_cameras
 from cluttergen_jax.scene.bank.hub import find_bank
-from cluttergen_jax.scene.bank.scene import SceneArrayReader, SceneArrays, join_scenes, rules_of
+from cluttergen_jax.scene.bank.scene import PlacedAssets, SceneArrayReader, join_scenes
 from cluttergen_jax.scene.collection import SceneModel, compile_scenes
 from cluttergen_jax.scene.scene import KEYFRAME
 from cluttergen_jax.types import Array
@@ -100,14 +100,13 @@ class BankArrays(struct.PyTreeNode):
 
     def waiting_scene(self) -> Scene:
         """All K objects as one scene on the bank's support, where they wait, with its cameras."""
-        stability, contact = rules_of(self.bank)
         return Scene(
             self.names,
             self.compiled.objects,
             self.compiled.model.qpos0.reshape(-1, 7),
             self.bank.support,
-            stability,
-            contact,
+            self.bank.stability,
+            self.bank.contact,
             cameras=scene_cameras(self.bank.support),
         )
 
@@ -231,7 +230,7 @@ def stream_bank(
     num_slots = reader.look()
     _check_any(bank, reader.names)
     compiled = _compile_model(bank, reader)
-    rest: list[SceneArrays] = []
+    rest: list[PlacedAssets] = []
     for part in reader.scenes():
         scenes = join_scenes([*rest, part.pad_slots(num_slots)])
         num_whole = len(scenes.number) // batch_size * batch_size
@@ -258,13 +257,13 @@ def _check_any(bank: Bank, found: Sized) -> None:
 
 def _compile_model(bank: Bank, reader: SceneArrayReader) -> SceneModel:
     """The model of all scenes that a reader has seen."""
-    stability, contact = rules_of(bank)
     assets = [bank.object(name) for name in reader.names]
-    return compile_scenes(assets, reader.most, bank.support, stability.timestep, contact)
+    timestep = bank.stability.timestep
+    return compile_scenes(assets, reader.most, bank.support, timestep, bank.contact)
 
 
 @with_own_settings
-def _arrays(bank: Bank, compiled: SceneModel, scenes: SceneArrays) -> BankArrays:
+def _arrays(bank: Bank, compiled: SceneModel, scenes: PlacedAssets) -> BankArrays:
     object_index = compiled.object_index(scenes.asset_index)
     return BankArrays(
         index=jnp.asarray(scenes.number),

@@ -23,7 +23,7 @@ from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.methods.table import TARGETS, entry_of
 from cluttergen_jax.placement.observation import ObservationConfig
 from cluttergen_jax.placement.problem import make_setup
-from cluttergen_jax.scene.bank.reference import read_start
+from cluttergen_jax.scene.bank.scene import read_start
 from cluttergen_jax.spec import SceneOptions, SceneSpec, spec_of, takes_spec
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from cluttergen_jax.rendering import PictureConfig, contact_sheet, save_png
 from cluttergen_jax.rendering.config import QUALITIES
 from cluttergen_jax.rendering.gl import renderer_status
 from cluttergen_jax.scene.bank import Bank, BankRow
-from cluttergen_jax.scene.xml import scene_xml
+from cluttergen_jax.scene.export.mjcf import scene_xml
 from cluttergen_jax.schema import digest_of
 from cluttergen_jax.views import ViewMaker
 

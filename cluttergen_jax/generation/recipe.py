@@ -18,8 +18,7 @@ from cluttergen_jax.placement.config import PlacementConfig, placement_record
 from cluttergen_jax.placement.methods.table import OwnMethod, entry_of
 from cluttergen_jax.placement.problem import Problem, ProblemConfig
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
-from cluttergen_jax.scene.bank.record import Recipe
-from cluttergen_jax.scene.bank.scene import config_of
+from cluttergen_jax.scene.bank.record import Recipe, config_of
 from cluttergen_jax.schema import Record
 
 

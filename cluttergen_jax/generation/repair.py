@@ -35,8 +35,7 @@ from cluttergen_jax.progress import COMPILING, Progress
 from cluttergen_jax.scene.bank import Bank, BankRow, BankWriter, read_bank
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.record import INDEX
-from cluttergen_jax.scene.bank.reference import missing_text, parse_reference
-from cluttergen_jax.scene.bank.scene import region_of, rules_of
+from cluttergen_jax.scene.bank.scene import missing_text, parse_reference, region_of
 from cluttergen_jax.scene.bank.table import rows_of, table_of
 from cluttergen_jax.scene.bank.writer import names_of
 from cluttergen_jax.schema import digest_of
@@ -124,14 +123,13 @@ def _layouts_of_bank(bank: Bank, numbers: Sequence[int] | None) -> LayoutSet:
                 f"{bank.path.name}:{row.index}", row.objects, objects, row.poses.astype(float)
             )
         )
-    stability, contact = rules_of(bank)
     config = ProblemConfig(
         pool=str(recipe.get("pool", "")),
         support=str(recipe.get("support", "")),
         region=region_of(bank),
         polygon=recorded_ring(recipe.get("polygon", ())),
-        stability=stability,
-        contact=contact,
+        stability=bank.stability,
+        contact=bank.contact,
     )
     return LayoutSet(tuple(layouts), bank.support, config)
 

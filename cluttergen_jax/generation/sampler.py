@@ -34,7 +34,7 @@ from cluttergen_jax.placement.rollout import BlockSampler, varying_alike
 from cluttergen_jax.placement.scenes import BLOCK_SIZE, SceneBatch, scene_of
 from cluttergen_jax.placement.shelves import Shelves
 from cluttergen_jax.scene import Origin, Scene
-from cluttergen_jax.scene.bank.reference import read_start
+from cluttergen_jax.scene.bank.scene import read_start
 from cluttergen_jax.spec import SceneOptions, SceneSpec, spec_of, takes_spec
 from cluttergen_jax.types import Array, Verdict
 

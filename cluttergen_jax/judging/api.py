@@ -64,7 +64,7 @@ def verify(
     """
     from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.judging.verify import verify_files
-    from cluttergen_jax.scene.bank.remote import bank_folder
+    from cluttergen_jax.scene.bank import bank_folder
 
     return verify_files(
         bank_folder(path),
@@ -161,8 +161,7 @@ def judge(
       ConfigError: a setting is outside its range, a path does not exist, or no file is a scene.
       BankError: another process writes to `out`.
     """
-    from cluttergen_jax.judging.judge import judge_scenes
-    from cluttergen_jax.judging.rule import JudgeConfig
+    from cluttergen_jax.judging.judge import JudgeConfig, judge_scenes
     from cluttergen_jax.judging.scene_files import find_scenes
 
     check_workers("jobs", jobs)

@@ -20,26 +20,31 @@ from cluttergen_jax.cluster import Cluster, each_on
 from cluttergen_jax.config import DETECTORS, ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import writing
-from cluttergen_jax.judging.contacts import contacts_of
-from cluttergen_jax.judging.robustness import (
-    ShakeConfig,
+from cluttergen_jax.judging.scene_models import (
+    SceneModels,
+    StandingModel,
     TiltConfig,
+    contacts_of,
+    movement,
     robust,
     shake,
     tilt,
 )
-from cluttergen_jax.judging.scene_models import SceneModels, by_object, each_scene, movement
 from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.physics.standing import horizons_of
 from cluttergen_jax.placement.world import base_name, make_world
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.scene.bank.bank import Bank, read_bank
-from cluttergen_jax.scene.bank.blocks import StoredBlocks
-from cluttergen_jax.scene.bank.card import write_card
-from cluttergen_jax.scene.bank.index import BankIndex
-from cluttergen_jax.scene.bank.remote import check_is_here
-from cluttergen_jax.scene.bank.scene import config_of
-from cluttergen_jax.scene.bank.table import CERTIFICATE, is_fully_certified, schema_of
+from cluttergen_jax.scene.bank import (
+    CERTIFICATE,
+    Bank,
+    BankIndex,
+    StoredBlocks,
+    check_is_here,
+    is_certified,
+    read_bank,
+    schema_of,
+    write_card,
+)
 from cluttergen_jax.statistics import finite
 
 _RENAMED = {
@@ -119,7 +124,7 @@ class _Blocks(Sequence[pa.Table]):
         self.numbers = list[int]()
         for number in stored.places:
             rows = stored.read_block(number)
-            if force or not is_fully_certified(rows, seconds):
+            if force or not is_certified(rows, seconds):
                 self.numbers.append(number)
             else:
                 self.num_done += rows.num_rows
@@ -159,11 +164,8 @@ class Certifier:
         recipe = bank.record["recipe"]
         asset_of = lru_cache(maxsize=None)(bank.object)
         names = recipe.get("names")
-        if (
-            not isinstance(names, list)
-            or not names
-            or not all(isinstance(name, str) for name in names)
-        ):
+        is_named = isinstance(names, list) and all(isinstance(name, str) for name in names)
+        if not (names and is_named):
             raise BankError(f"{bank.path}: its record does not name the objects of its world")
         return cls(
             path=bank.path,
@@ -171,8 +173,8 @@ class Certifier:
             if recipe.get("shelf")
             else tuple(asset_of(base_name(name)) for name in names),
             support=bank.support,
-            stability=config_of(StabilityConfig, recipe.get("stability", {}), bank.path),
-            contact=config_of(ContactConfig, recipe.get("contact", {}), bank.path),
+            stability=bank.stability,
+            contact=bank.contact,
             seconds=seconds,
             jobs=jobs,
         )
@@ -240,21 +242,21 @@ def _by_object(
     Args:
       local: the number of an object in the models, by its number in the rows.
     """
-    most = max(len(scene["object_index"]) for scene in scenes)
-    index = np.full((len(scenes), most), -1)
-    placed = np.zeros((len(scenes), most), bool)
-    poses = np.tile(np.eye(7)[3], (len(scenes), most, 1))
+    placed = np.zeros((len(scenes), len(local)), bool)
+    poses = np.tile(np.eye(7)[3], (*placed.shape, 1))
     for row, scene in enumerate(scenes):
-        count = len(scene["object_index"])
-        if not set(scene["object_index"]) <= local.keys():
-            raise BankError(
-                "a scene names an object that the bank's record does not",
-                hint="the bank's own bank.json",
-            )
-        index[row, :count] = [local[each] for each in scene["object_index"]]
-        placed[row, :count] = scene["is_placed"]
-        poses[row, :count] = np.array(scene["poses"]).reshape(-1, 7)
-    return by_object(index, placed, poses, len(local))[:2]
+        for number, is_there, pose in zip(
+            scene["object_index"], scene["is_placed"], scene["poses"], strict=True
+        ):
+            if number not in local:
+                raise BankError(
+                    "a scene names an object that the bank's record does not",
+                    hint="the bank's own bank.json",
+                )
+            if is_there:
+                placed[row, local[number]] = True
+                poses[row, local[number]] = pose
+    return poses, placed
 
 
 def certificates(
@@ -262,7 +264,6 @@ def certificates(
     poses: np.ndarray,
     is_placed: np.ndarray,
     seconds: float = 2.0,
-    shake_config: ShakeConfig | None = None,
     num_threads: int = 0,
 ) -> list[dict[str, Any]]:
     """One certificate a scene, ready to become a bank's columns.
@@ -290,15 +291,13 @@ def certificates(
           nothing.
         robust: it stands in soft contact, with less friction and gravity tilted (`robustness.robust`).
     """
-    models.check(poses, is_placed)
-    is_placed = np.asarray(is_placed, bool)
     tilt_config = TiltConfig()
     contacts = contacts_of(models, poses, is_placed, num_threads)
     drifts = {
         name: movement(models.with_detector(name), poses, is_placed, (seconds,), num_threads)
         for name in DETECTORS
     }
-    scores = shake(models, poses, is_placed, shake_config, num_threads)
+    scores = shake(models, poses, is_placed, num_threads=num_threads)
     speeds = residual_speeds(models, poses, is_placed, num_threads)
     stands = tilt(models, poses, is_placed, tilt_config, num_threads)
     is_robust = robust(models, poses, is_placed, num_threads=num_threads)
@@ -344,15 +343,13 @@ def residual_speeds(
     seconds: float = 0.25,
 ) -> np.ndarray:
     """f64[N, 2]: m/s and rad/s of the fastest object `seconds` after scenes were let go from rest."""
-    models.check(poses, is_placed)
-    is_placed = np.asarray(is_placed, bool)
 
-    def run(scene: int) -> tuple[float, float]:
-        model = models.of(is_placed[scene])
-        data = model.start(poses[scene])
+    def run(_: int, model: StandingModel, at: np.ndarray) -> tuple[float, float]:
+        data = model.start(at)
         mujoco.mj_step(model.model, data, round(seconds / model.model.opt.timestep))
         velocity = data.qvel.reshape(-1, 2, 3)
         linear, angular = np.linalg.norm(velocity, axis=2).max(0, initial=0.0)
         return float(linear), float(angular)
 
-    return np.array(each_scene(run, len(is_placed), num_threads), np.float64).reshape(-1, 2)
+    found = models.each(run, poses, is_placed, num_threads)
+    return np.array(found, np.float64).reshape(-1, 2)

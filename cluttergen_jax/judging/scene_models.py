@@ -1,7 +1,7 @@
-"""Finished scenes in plain MuJoCo: scenes by object index, models of what stands in them, how far it moves.
+"""Finished scenes in plain MuJoCo: models of what stands in them, movement, contacts, how firmly they stand.
 
 Models hold what stands in a scene and nothing else, as its saved file has it; several are simulated at a time
-on threads.
+on threads. Scenes are shaken, gravity is tilted, friction is less and contact softer.
 """
 
 from __future__ import annotations
@@ -23,7 +23,10 @@ from cluttergen_jax.config import ContactConfig, Detector, StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.log import silent_log
+from cluttergen_jax.physics.margin import margins_of
+from cluttergen_jax.physics.simulations import SOFT_SOLIMP, SOFT_SOLREF
 from cluttergen_jax.physics.standing import (
+    STRIDE,
     Advance,
     has_moved,
     horizons_of,
@@ -150,9 +153,10 @@ class SceneModels:
         """The same scenes with another detector of convex collisions."""
         return SceneModels(self.world, self.stability, self.contact, self.mass_scale, detector)
 
-    def check(self, poses: np.ndarray, is_placed: np.ndarray) -> None:
-        """ConfigError unless they are scenes of this world: poses f[N, K, 7], is_placed bool[N, K]."""
+    def check(self, poses: np.ndarray, is_placed: np.ndarray) -> np.ndarray:
+        """bool[N, K] `is_placed`, if with poses f[N, K, 7] they are scenes of this world (ConfigError)."""
         check_scenes(poses, is_placed, self.world.num_objects)
+        return np.asarray(is_placed, bool)
 
     def of(self, is_placed: np.ndarray) -> StandingModel:
         """The model of the objects that stand: bool[K]."""
@@ -164,6 +168,25 @@ class SceneModels:
                     self._cache.popitem(last=False)
             self._cache.move_to_end(key)
             return self._cache[key]
+
+    def each(
+        self,
+        run: Callable[[int, StandingModel, np.ndarray], Result],
+        poses: np.ndarray,
+        is_placed: np.ndarray,
+        num_threads: int = 0,
+    ) -> list[Result]:
+        """`run` of each scene's number, model and poses f[K, 7], on threads (0: one for each core).
+
+        Raises:
+          ConfigError: the arrays are not scenes of this world: f[N, K, 7] and bool[N, K].
+        """
+        is_there = self.check(poses, is_placed)
+        return each_scene(
+            lambda number: run(number, self.of(is_there[number]), poses[number]),
+            len(is_there),
+            num_threads,
+        )
 
     def _compile(self, objects: np.ndarray) -> StandingModel:
         spec = new_spec(self.stability.timestep, self.contact)
@@ -269,16 +292,342 @@ def movement(
     Raises:
       ConfigError: the arrays are not scenes of the world, or `horizons_of` refuses the horizons.
     """
-    models.check(poses, is_placed)
-    poses = np.asarray(poses, np.float64)
-    is_placed = np.asarray(is_placed, bool)
-    result = no_movement(is_placed, seconds)
+    result = no_movement(models.check(poses, is_placed), seconds)
 
-    def run(scene: int) -> None:
-        model = models.of(is_placed[scene])
-        data = model.start(poses[scene])
+    def run(scene: int, model: StandingModel, at: np.ndarray) -> None:
+        data = model.start(at)
         step = stepper(model.model, data)
         result.watch(scene, model.objects, step, data.qpos.reshape(-1, 7), models)
 
-    each_scene(run, len(poses), num_threads)
+    models.each(run, poses, is_placed, num_threads)
     return result
+
+
+BORNE_SHARE = 0.1
+_SETTLE_SECONDS = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """Contacts of scenes at rest. N scenes, K objects; index K stands for the support and the floor.
+
+    Attributes:
+      force: f64[N, K, K + 1, 3], newtons, world: what j does to i, friction included.
+      normal: f64[N, K, K + 1, 3], newtons, the same without friction.
+      weight: f64[N, K], newtons; zero where not placed.
+      count: i32[N], contact points.
+      penetration: f64[N], metres, the deepest overlap of any two bodies as the scene was given.
+      margin: f64[N, K], metres, each object's support margin (`physics.margin`); NaN where not placed and
+        where nothing carries it.
+    """
+
+    force: np.ndarray
+    normal: np.ndarray
+    weight: np.ndarray
+    count: np.ndarray
+    penetration: np.ndarray
+    margin: np.ndarray
+
+    @property
+    def rests_on(self) -> np.ndarray:
+        """bool[N, K, K + 1]: j bears at least a tenth of i's weight."""
+        borne = self.force[..., 2] >= BORNE_SHARE * self.weight[..., None]
+        return borne & (self.weight[..., None] > 0)
+
+
+def contacts_of(
+    models: SceneModels, poses: np.ndarray, is_placed: np.ndarray, num_threads: int = 0
+) -> Contacts:
+    """Forces between the bodies of finished scenes.
+
+    Contacts and overlap are those of the poses as given; forces are read after 0.1 s of simulation,
+    everything awake, when those of rounding the poses have died away; margins are the larger of both times.
+
+    Args:
+      poses: f[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].
+    """
+    num, size = models.check(poses, is_placed).shape
+    result = Contacts(
+        force=np.zeros((num, size, size + 1, 3)),
+        normal=np.zeros((num, size, size + 1, 3)),
+        weight=np.zeros((num, size)),
+        count=np.zeros(num, np.int32),
+        penetration=np.zeros(num),
+        margin=np.full((num, size), np.nan),
+    )
+
+    def run(scene: int, model: StandingModel, at: np.ndarray) -> None:
+        data = model.start(at)
+        result.count[scene] = data.ncon
+        margin = _margins(model, data)
+        result.penetration[scene] = max(-data.contact.dist.min(initial=0.0), 0.0)
+        mujoco.mj_step(model.model, data, round(_SETTLE_SECONDS / model.model.opt.timestep))
+        mujoco.mj_forward(model.model, data)
+        mass = model.model.body_mass[model.layout.body_index]
+        result.weight[scene, model.objects] = mass * models.contact.gravity
+        _add_forces(model, data, result.force[scene], result.normal[scene])
+        # Of a face that lies flat the engine names a few points, now these and now those: no margin is found
+        # too large, and the larger of two is nearer to the truth.
+        margin = np.maximum(margin, _margins(model, data))
+        result.margin[scene, model.objects] = np.where(np.isfinite(margin), margin, np.nan)
+
+    models.each(run, poses, is_placed, num_threads)
+    return result
+
+
+def _margins(scene: StandingModel, data: mujoco.MjData) -> np.ndarray:
+    """f64[n]: the support margin of each object of one scene."""
+    return margins_of(scene.layout, data, np.arange(len(scene.objects)))
+
+
+def _add_forces(
+    scene: StandingModel, data: mujoco.MjData, force: np.ndarray, normal: np.ndarray
+) -> None:
+    """Adds the contacts of one scene to f64[K, K + 1, 3]."""
+    # The world's index of a model's geom; the last one is the support, and the floor.
+    index = np.append(scene.objects, force.shape[0])[scene.layout.geom_object]
+    wrench = np.zeros(6)
+    for number in range(data.ncon):
+        contact = data.contact[number]
+        mujoco.mj_contactForce(scene.model, data, number, wrench)
+        # Rows of the frame are its axes, the first one pointing from the first geom to the second.
+        frame = contact.frame.reshape(3, 3)
+        first, second = index[contact.geom]
+        for onto, by, sign in ((second, first, 1.0), (first, second, -1.0)):
+            if onto < force.shape[0]:
+                force[onto, by] += sign * (wrench[:3] @ frame)
+                normal[onto, by] += sign * wrench[0] * frame[0]
+
+
+_SHAKEN_STRIDE = 4
+"""Steps between two looks at what is shaken, and between two accelerations."""
+
+
+@dataclass(frozen=True)
+class ShakeConfig:
+    """A sideways acceleration of the support that grows slowly from zero.
+
+    Attributes:
+      rate: m/s^2 per second. What is let go by static friction takes a while for `max_shift`, during which
+        the acceleration goes on growing: by (6 * max_shift * rate^2)^(1/3), 0.31 m/s^2 at rate 1.
+      limit: m/s^2; a scene that nothing moved by then has this score.
+      max_shift: metres that an object must move, relative to the support.
+      directions: world directions in which the support is accelerated, a score for each.
+    """
+
+    rate: float = 1.0
+    limit: float = 10.0
+    max_shift: float = StabilityConfig.stand_full_shift
+    directions: tuple[tuple[float, float], ...] = ((1.0, 0.0), (0.0, 1.0))
+
+    def __post_init__(self) -> None:
+        if not (self.rate > 0 and self.limit > 0 and self.max_shift > 0 and self.directions):
+            raise ConfigError(
+                f"{self}", "rate, limit and max_shift above zero, one direction or more"
+            )
+
+
+def shake(
+    models: SceneModels,
+    poses: np.ndarray,
+    is_placed: np.ndarray,
+    config: ShakeConfig | None = None,
+    num_threads: int = 0,
+) -> np.ndarray:
+    """The sideways acceleration at which something has moved `max_shift` relative to the support.
+
+    Simulated in the support's own frame, where an acceleration a of the support is a gravity of -a: the table
+    stands still and gravity tilts.
+
+    Args:
+      poses: f[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].
+
+    Returns:
+      f64[N, D], m/s^2, for D directions; the limit where nothing moved.
+    """
+    asked = config or ShakeConfig()
+
+    def run(_: int, model: StandingModel, at: np.ndarray) -> list[float]:
+        return [_withstood(model, at, np.array(way), asked) for way in asked.directions]
+
+    scores = models.each(run, poses, is_placed, num_threads)
+    return np.array(scores, np.float64).reshape(len(is_placed), len(asked.directions))
+
+
+def _withstood(
+    scene: StandingModel, poses: np.ndarray, direction: np.ndarray, config: ShakeConfig
+) -> float:
+    """m/s^2 at which one scene gives way."""
+    # Gravity belongs to the model, which other threads use at the same time.
+    model = scene.own_model()
+    data = scene.start(poses, model)
+    step = stepper(model, data)
+    direction = direction / np.linalg.norm(direction)
+    growth = config.rate * _SHAKEN_STRIDE * model.opt.timestep
+    accelerations = growth * np.arange(1, np.ceil(config.limit / growth) + 1)
+    grows = iter(accelerations)
+
+    def advance(count: int) -> np.ndarray:
+        model.opt.gravity[:2] = -next(grows) * direction
+        return step(count)
+
+    marks = _SHAKEN_STRIDE * np.arange(1, len(accelerations) + 1)
+    looks = watch(advance, data.qpos.reshape(-1, 7), marks.tolist(), _SHAKEN_STRIDE)
+    for acceleration, (shift, _) in zip(accelerations, looks, strict=True):
+        if shift.max(initial=0.0) > config.max_shift:
+            return min(float(acceleration), config.limit)
+    return config.limit
+
+
+@dataclass(frozen=True)
+class TiltConfig:
+    """Gravity out of the vertical, at once and for good.
+
+    Friction holds up to 26 degrees, so that what moves by so little tips.
+
+    Attributes:
+      degrees: by how much, ascending.
+      num_directions: evenly over the circle, the first one world x.
+      seconds: how long each is simulated.
+    """
+
+    degrees: tuple[float, ...] = (1.0, 2.0, 5.0)
+    num_directions: int = 8
+    seconds: float = 2.0
+
+    def __post_init__(self) -> None:
+        ascends = all(
+            a < b for a, b in zip((0.0, *self.degrees), (*self.degrees, 90.0), strict=True)
+        )
+        if not (ascends and self.num_directions > 0 and self.seconds > 0):
+            allowed = (
+                "degrees that ascend between 0 and 90, one direction or more, seconds above zero"
+            )
+            raise ConfigError(f"{self}", allowed)
+
+
+def tilt(
+    models: SceneModels,
+    poses: np.ndarray,
+    is_placed: np.ndarray,
+    config: TiltConfig | None = None,
+    num_threads: int = 0,
+) -> np.ndarray:
+    """The share of directions in which a scene stands though gravity is tilted.
+
+    What stands at one angle is taken to stand at every smaller one in the same direction.
+
+    Args:
+      poses: f[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].
+
+    Returns:
+      f64[N, A], one share for each of the angles.
+    """
+    asked = config or TiltConfig()
+    turns = 2 * np.pi * np.arange(asked.num_directions) / asked.num_directions
+
+    def run(_: int, model: StandingModel, at: np.ndarray) -> np.ndarray:
+        return np.mean([_stands(model, at, turn, asked) for turn in turns], axis=0)
+
+    shares = models.each(run, poses, is_placed, num_threads)
+    return np.array(shares, np.float64).reshape(len(is_placed), len(asked.degrees))
+
+
+def _stands(scene: StandingModel, poses: np.ndarray, turn: float, config: TiltConfig) -> np.ndarray:
+    """bool[A]: at which angles one scene stands, gravity tilted towards one direction."""
+    result = np.ones(len(config.degrees), bool)
+    for place in reversed(range(len(config.degrees))):
+        angle = np.radians(config.degrees[place])
+        sideways = np.sin(angle) * np.array([np.cos(turn), np.sin(turn)])
+        # Gravity belongs to the model, which other threads use at the same time.
+        down = np.append(sideways, -np.cos(angle))
+        if _stays(scene, scene.own_model(), poses, down, config.seconds, 3):
+            break
+        result[place] = False
+    return result
+
+
+def _stays(
+    scene: StandingModel,
+    model: mujoco.MjModel,
+    poses: np.ndarray,
+    down: np.ndarray,
+    seconds: float,
+    num_axes: int,
+) -> bool:
+    """Whether nothing moves too far, along the first so many world axes, or turns too much.
+
+    Args:
+      model: the scene's own; its gravity is turned towards `down`, a unit vector.
+    """
+    model.opt.gravity[:] = down * np.linalg.norm(model.opt.gravity)
+    data = scene.start(poses, model)
+    step = stepper(model, data)
+    start = data.qpos.reshape(-1, 7).copy()
+
+    def advance(count: int) -> np.ndarray:
+        now = step(count).copy()
+        now[:, num_axes:3] = start[:, num_axes:3]
+        return now
+
+    num_looks = round(seconds / model.opt.timestep / STRIDE)
+    limits = StabilityConfig()
+    looks = watch(advance, start, range(STRIDE, STRIDE * num_looks + 1, STRIDE))
+    return not any(has_moved(shift, turn, limits).any() for shift, turn in looks)
+
+
+@dataclass(frozen=True)
+class RobustConfig:
+    """What a robust scene withstands: tilted gravity, less friction and softer contact, all at once.
+
+    Attributes:
+      degrees: by how much gravity is tilted.
+      num_directions: evenly over the circle, the first one world x.
+      friction: factor of all friction coefficients.
+      solref, solimp: of all contacts; by default MuJoCo's own defaults.
+      seconds: how long each direction is simulated.
+    """
+
+    degrees: float = 3.0
+    num_directions: int = 4
+    friction: float = 0.7
+    solref: tuple[float, float] = SOFT_SOLREF
+    solimp: tuple[float, float, float, float, float] = SOFT_SOLIMP
+    seconds: float = 2.0
+
+
+def robust(
+    models: SceneModels,
+    poses: np.ndarray,
+    is_placed: np.ndarray,
+    config: RobustConfig | None = None,
+    num_threads: int = 0,
+) -> np.ndarray:
+    """Which scenes stand, everything awake, under tilted gravity with less friction and softer contact.
+
+    A scene is robust if nothing moves too far in plan or turns too much (`physics.standing`), from where it
+    was saved, in any direction. In plan, since in soft contact everything sinks by a little, which is no
+    fall: what falls also turns or goes sideways.
+
+    Args:
+      poses: f[N, K, 7], world, metres, wxyz; is_placed: bool[N, K].
+
+    Returns:
+      bool[N].
+    """
+    asked = config or RobustConfig()
+    turns = 2 * np.pi * np.arange(asked.num_directions) / asked.num_directions
+    angle = np.radians(asked.degrees)
+    sideways = np.sin(angle) * np.stack([np.cos(turns), np.sin(turns)], axis=1)
+
+    def run(_: int, scene: StandingModel, at: np.ndarray) -> bool:
+        model = scene.own_model()
+        model.geom_friction[:] *= asked.friction
+        model.geom_solref[:] = asked.solref
+        model.geom_solimp[:] = asked.solimp
+        return all(
+            _stays(scene, model, at, np.append(to, -np.cos(angle)), asked.seconds, 2)
+            for to in sideways
+        )
+
+    return np.array(models.each(run, poses, is_placed, num_threads), bool)

@@ -23,11 +23,16 @@ from cluttergen_jax.files import check_utf8, inside, write_atomically
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.standing import StandingCheck, check_standing
 from cluttergen_jax.progress import track
-from cluttergen_jax.scene.bank.bank import Bank, read_bank
-from cluttergen_jax.scene.bank.digests import Change, changes_of, changes_to_scene, without_digests
-from cluttergen_jax.scene.bank.record import AGAIN, INDEX
-from cluttergen_jax.scene.bank.remote import fetch_scenes
-from cluttergen_jax.scene.bank.scene import config_of
+from cluttergen_jax.scene.bank import (
+    AGAIN,
+    INDEX,
+    Bank,
+    Change,
+    changes_of,
+    changes_to_scene,
+    fetch_scenes,
+    read_bank,
+)
 from cluttergen_jax.types import small_length
 
 _SHORTEST_STEP = 1e-4
@@ -61,7 +66,7 @@ class VerificationReport:
       scenes: how each file behaved.
       changes: the files of a bank that are not what was written; None if it has no digests of them.
       changed_files: for each scene, those of its files that were changed.
-      unchecked: what of a bank has no digests, "files" or "rows"; "" if everything has.
+      is_unchecked: it is a bank without digests of its files.
       has_own_limits: the limits are those that the bank was asked for, not the usual ones.
       unwritten: why verification.json could not be written into the bank's folder; "" if it is there.
     """
@@ -71,7 +76,7 @@ class VerificationReport:
     scenes: tuple[Verification, ...]
     changes: tuple[Change, ...] | None
     changed_files: tuple[tuple[str, ...], ...]
-    unchecked: str = ""
+    is_unchecked: bool = False
     unwritten: str = ""
     has_own_limits: bool = False
 
@@ -137,8 +142,8 @@ class VerificationReport:
         return "\n".join(lines)
 
     def _of_files(self) -> Iterator[str]:
-        if self.unchecked:
-            yield f"note: {self.path} has no digests of its {self.unchecked} (made before they were kept)"
+        if self.is_unchecked:
+            yield f"note: {self.path} has no digests of its files (made before they were kept)"
         if self.changes:
             number = len(self.changes)
             yield f"files of {self.path} that are not what `cluttergen generate` wrote ({number}):"
@@ -161,8 +166,8 @@ def verify_files(
     fetch_scenes(path)
     files = scene_files(path)
     bank = read_bank(path) if (path / INDEX).is_file() else None
-    unchecked = "" if bank is None else without_digests(bank)
-    if unchecked == "files" and not allow_unchecked:
+    is_unchecked = bank is not None and bank.files is None
+    if is_unchecked and not allow_unchecked:
         raise BankError(
             f"{path}: bank.json has no digests of the bank's files",
             "a bank that knows its files",
@@ -184,7 +189,7 @@ def verify_files(
     )
     kept = None if changes is None else tuple(changes)
     report = VerificationReport(
-        path, check, scenes, kept, changed, unchecked, has_own_limits=has_own_limits
+        path, check, scenes, kept, changed, is_unchecked, has_own_limits=has_own_limits
     )
     file = path / "verification.json"
     try:
@@ -203,7 +208,7 @@ def _limits_of(path: Path, bank: Bank | None, check: VerifyConfig) -> VerifyConf
     if bank is None:
         return check
     usual = StabilityConfig()
-    asked = config_of(StabilityConfig, bank.recipe.get("stability", {}), bank.path)
+    asked = bank.stability
     if (
         check.max_shift == VerifyConfig.max_shift
         and asked.stand_full_shift != usual.stand_full_shift

@@ -23,8 +23,7 @@ from cluttergen_jax.progress import Progress
 from cluttergen_jax.rendering.config import QUALITIES, Quality
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.rendering.variation import TEXTURES_OF
-from cluttergen_jax.scene.bank import Bank, read_bank
-from cluttergen_jax.scene.bank.scene import read_scenes, region_of, select_rows
+from cluttergen_jax.scene.bank import Bank, read_bank, read_scenes, region_of, select_rows
 from cluttergen_jax.schema import digest_of
 from cluttergen_jax.sensing import CameraPlan
 from cluttergen_jax.statistics import share_out

@@ -16,11 +16,9 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.judging.scene_models import SceneModels, by_object
 from cluttergen_jax.placement.world import base_name, make_world
 from cluttergen_jax.scene.bank import read_bank
-from cluttergen_jax.scene.bank.scene import config_of
 from studies.measures.survival import PEERS, movement_elsewhere
 
 
@@ -43,8 +41,8 @@ def scenes_of(path: Path, count: int) -> tuple[SceneModels, np.ndarray, np.ndarr
     """Models, and f64[N, K, 7] and bool[N, K]: poses by object, and which objects are there."""
     bank = read_bank(path)
     objects = [bank.object(base_name(name)) for name in bank.recipe["names"]]
-    stability = config_of(StabilityConfig, bank.recipe.get("stability", {}), path)
-    contact = config_of(ContactConfig, bank.recipe.get("contact", {}), path)
+    stability = bank.stability
+    contact = bank.contact
     models = SceneModels(make_world(objects, bank.support, stability, contact), stability, contact)
     rows = bank.table.select(["is_success", "object_index", "is_placed", "poses"]).to_pylist()
     good = [row for row in rows if row["is_success"]][:count]

@@ -17,7 +17,7 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.geometry import conjugate, product, rotate
-from cluttergen_jax.scene.export.frames import factor_of, friction_of
+from cluttergen_jax.scene.export.shapes import factor_of, friction_of
 
 
 def load_pybullet(purpose: str) -> ModuleType:
@@ -45,7 +45,7 @@ class BodyFrames:
     @staticmethod
     def of(objects: Sequence[ObjectAsset]) -> BodyFrames:
         """The frames of K objects."""
-        # Not the frames of the exports (`scene.export.frames`): Bullet's contacts depend on how axes lie, and
+        # Not the frames of the exports (`scene.export.shapes`): Bullet's contacts depend on how axes lie, and
         # published figures were made with these.
         inertia, axes = np.linalg.eigh(np.stack([asset.inertia for asset in objects]))
         axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
@@ -72,7 +72,7 @@ def support_friction(contact: ContactConfig) -> float:
 
 
 def object_friction(asset: ObjectAsset, contact: ContactConfig) -> float:
-    """An object's: on the support its own friction, or the contact's; see `scene.export.frames`."""
+    """An object's: on the support its own friction, or the contact's; see `scene.export.shapes`."""
     return factor_of(friction_of(asset, contact)[0], contact.friction[0])
 
 

@@ -26,8 +26,13 @@ from scipy.spatial import cKDTree
 from cluttergen_jax.assets.hollow import hollow_of
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.geometry import conjugate, rotate, transform_points
-from cluttergen_jax.judging.contacts import Contacts, contacts_of
-from cluttergen_jax.judging.scene_models import SceneModels, StandingModel, each_scene
+from cluttergen_jax.judging.scene_models import (
+    Contacts,
+    SceneModels,
+    StandingModel,
+    contacts_of,
+    each_scene,
+)
 
 SURFACE_SHARE = 0.25
 MAX_VESSEL_TILT = float(np.radians(45.0))
@@ -97,11 +102,19 @@ def _judge(
     result = np.zeros(rests_on.shape, np.int8)
     result[rests_on] = Relation.ON
     result[(tilt[..., None] >= MIN_LEAN) & _presses_sideways(contacts)] = Relation.LEANING
-    result[is_in & contacts.carried_by] = Relation.IN
+    result[is_in & carried_by(rests_on)] = Relation.IN
     between = result[..., :-1]
     is_free = (between == Relation.NONE) & (np.swapaxes(between, 1, 2) == Relation.NONE)
     between[is_free & (covered[..., :-1] >= SURFACE_SHARE)] = Relation.UNDER
     return result
+
+
+def carried_by(rests_on: np.ndarray) -> np.ndarray:
+    """bool[N, K, K + 1]: i rests on j, directly or through others."""
+    reach = np.array(rests_on, bool)
+    for middle in range(reach.shape[1]):
+        reach |= reach[:, :, middle, None] & reach[:, middle, None, :]
+    return reach
 
 
 def _presses_sideways(contacts: Contacts) -> np.ndarray:

@@ -14,8 +14,8 @@ from cluttergen_jax.assets.obj import mesh_text
 from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.judging.scene_models import Movement, SceneModels, each_scene, no_movement
 from cluttergen_jax.physics.standing import Advance
-from cluttergen_jax.scene.export.frames import friction_of, harmonic_of
-from cluttergen_jax.scene.export.sdf import HYDROELASTIC_MODULUS
+from cluttergen_jax.scene.export.links import HYDROELASTIC_MODULUS
+from cluttergen_jax.scene.export.shapes import friction_of, harmonic_of
 from studies.measures import bullet_world
 
 PEERS = ("pybullet", "drake")
@@ -69,7 +69,7 @@ def movement_elsewhere(
     Hulls, masses, inertias, sliding friction, gravity and time step are the scene's own (two objects that
     both have a friction of their own slide by the engine's rule for two bodies); everything else is the other
     engine's default but for the hulls' margin in PyBullet (`BULLET_MARGIN`, metres) and, in Drake, the
-    bodies' stiffness (`scene.export.sdf.HYDROELASTIC_MODULUS`) and the solver, SAP.
+    bodies' stiffness (`scene.export.links.HYDROELASTIC_MODULUS`) and the solver, SAP.
 
     Args:
       engine: "pybullet" or "drake" (extra `peers`).
@@ -293,7 +293,7 @@ class DrakePeer:
         return body
 
     def _friction(self, wanted: float) -> Any:
-        """Of a body that is to have this coefficient with the support; see `scene.export.friction`."""
+        """Of a body that is to have this coefficient with the support; see `scene.export.shapes`."""
         own = harmonic_of(wanted, self._models.contact.friction[0])
         return self._drake.CoulombFriction(own, own)
 

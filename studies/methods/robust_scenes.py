@@ -11,7 +11,7 @@ from cluttergen_jax.evaluation.comparison import SUCCESS, Column, request_column
 from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.trial import ROBUST, Trial, grid
-from cluttergen_jax.judging.robustness import RobustConfig, robust
+from cluttergen_jax.judging.scene_models import RobustConfig, robust
 from cluttergen_jax.placement.methods.table import TRUSTED
 from cluttergen_jax.statistics import proportion
 from studies.cells import COST, EFFORT_NOTES, columns_of

@@ -14,15 +14,21 @@ from cluttergen_jax.evaluation.comparison import Column, number, share, share_of
 from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.trial import Trial, grid
-from cluttergen_jax.judging.contacts import contacts_of
-from cluttergen_jax.judging.robustness import TiltConfig, shake, survives, tilt
-from cluttergen_jax.judging.scene_models import SceneModels, movement
+from cluttergen_jax.judging.scene_models import (
+    SceneModels,
+    TiltConfig,
+    contacts_of,
+    movement,
+    shake,
+    tilt,
+)
 from cluttergen_jax.placement.config import MIN_MARGIN
 from cluttergen_jax.placement.methods.table import BASELINES
 from cluttergen_jax.statistics import finite, proportion
 from cluttergen_jax.tables import Table
 from cluttergen_jax.types import Verdict
 from studies.cells import HEAD, SCENES, columns_of, number_column
+from studies.measures.changed_physics import survives
 from studies.measures.survival import PEERS, SURVIVAL_SECONDS, movement_elsewhere
 from studies.methods.diversity import TIGHT, scenes_of
 from studies.rankings import share_notes

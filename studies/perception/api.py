@@ -7,7 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cluttergen_jax.config import Method, check_range, check_workers
-from cluttergen_jax.downstream.words import MAX_VIEWS, SegmenterInput, Split, check_noise
+from cluttergen_jax.downstream.words import (
+    MAX_VIEWS,
+    MOST_KNOWN,
+    SegmenterInput,
+    Split,
+    check_noise,
+)
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
 from cluttergen_jax.kept_folder import hold_folder
@@ -71,7 +77,6 @@ def perception_data(
     from cluttergen_jax.downstream.samples import SPLITS
     from cluttergen_jax.rendering import find_backend
     from cluttergen_jax.scene import Bank
-    from cluttergen_jax.spec import MOST_ON_SHELF
     from studies.perception.view_maker import (
         VIEWS_A_SCENE,
         PerceptionViewConfig,
@@ -89,10 +94,10 @@ def perception_data(
     if arm:
         find_robot()
     most = len(find_pool(pool).objects)
-    if most > MOST_ON_SHELF:
+    if most > MOST_KNOWN:
         given = f"a pool of {most:,} objects"
         raise ConfigError(
-            given, f"up to {MOST_ON_SHELF}: a segmenter knows each of them", "a smaller pool"
+            given, f"up to {MOST_KNOWN}: a segmenter knows each of them", "a smaller pool"
         )
     if num_objects is not None:
         check_range("num_objects", num_objects, 1, most, min(8, most))

@@ -12,7 +12,7 @@ from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.placement.world import make_world
 from cluttergen_jax.scene import Scene
-from cluttergen_jax.scene.xml import scene_xml
+from cluttergen_jax.scene.export.mjcf import scene_xml
 from tests.helpers.worlds import TOP, box
 
 STABILITY = StabilityConfig()

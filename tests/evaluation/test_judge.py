@@ -215,7 +215,7 @@ def test_usd_weighs_what_it_states(tmp_path):
     pxr = pytest.importorskip("pxr", reason="needs the extra usd")
     from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade
 
-    from cluttergen_jax.judging.usd_scene import read_usd
+    from cluttergen_jax.judging.scene_files import read_usd
 
     assert pxr
     stage = Usd.Stage.CreateNew(str(tmp_path / "scene.usda"))

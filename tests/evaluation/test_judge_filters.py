@@ -9,7 +9,7 @@ import pytest
 
 import cluttergen_jax as cg
 from cluttergen_jax.cli.main import main
-from cluttergen_jax.judging.rule import find_free_bodies
+from cluttergen_jax.judging.judge import find_free_bodies
 from studies.benchmarks.plain_judge import judge as judge_plainly
 
 CASES = Path(__file__).parents[1] / "cases" / "judge"

@@ -6,8 +6,7 @@ import pytest
 
 import cluttergen_jax as cg
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.judging.scene_files import read_model
-from cluttergen_jax.judging.sdf_scene import read_sdf_world
+from cluttergen_jax.judging.scene_files import read_model, read_sdf_world
 from cluttergen_jax.scene.export import export_scenes
 from tests.helpers.exports import dining_scene
 

@@ -9,16 +9,16 @@ from scipy.spatial.transform import Rotation
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.judging.certify import certificates
-from cluttergen_jax.judging.robustness import (
-    PHYSICS_CHANGES,
+from cluttergen_jax.judging.scene_models import (
     RobustConfig,
+    SceneModels,
     ShakeConfig,
+    movement,
     robust,
     shake,
-    survives,
 )
-from cluttergen_jax.judging.scene_models import SceneModels, movement
 from cluttergen_jax.placement.world import make_world
+from studies.measures.changed_physics import PHYSICS_CHANGES, survives
 from tests.helpers.worlds import TOP, box
 
 GRAVITY = 9.81

@@ -19,7 +19,7 @@ from cluttergen_jax.scene import Origin, Scene
 from cluttergen_jax.scene.bank import BankWriter
 from cluttergen_jax.scene.bank.table import SCHEMA
 from cluttergen_jax.scene.export import export_scenes
-from cluttergen_jax.scene.xml import scene_xml
+from cluttergen_jax.scene.export.mjcf import scene_xml
 from tests.helpers.worlds import trio
 
 NAMES = ("mug", "fork", "soup_can", "mug#2")

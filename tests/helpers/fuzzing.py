@@ -47,8 +47,8 @@ from cluttergen_jax.learning.ppo.checkpoint import read_policy, save_policy
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.scene import read_scenes
 from cluttergen_jax.scene.bank.stats import stats_of
+from cluttergen_jax.scene.export.mjcf import scene_xml
 from cluttergen_jax.scene.mjcf_file import read_mjcf_scene
-from cluttergen_jax.scene.xml import scene_xml
 from cluttergen_jax.sensing.camera import parse_cameras
 from tests.helpers import banks
 from tests.helpers.fuzzed_files import OWN, plain, without_seal

@@ -12,8 +12,7 @@ from shapely.geometry import MultiPoint, Point
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.judging.robustness import TiltConfig, tilt
-from cluttergen_jax.judging.scene_models import SceneModels
+from cluttergen_jax.judging.scene_models import SceneModels, TiltConfig, tilt
 from cluttergen_jax.physics.margin import support_margin
 from cluttergen_jax.physics.mjx import support_margins
 from cluttergen_jax.placement.types import Start

@@ -10,8 +10,8 @@ from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import BankError, UnsafePathError
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.blocks import StoredBlocks
-from cluttergen_jax.scene.bank.digests import changes_of
 from cluttergen_jax.scene.bank.hub import check_whole
+from cluttergen_jax.scene.bank.index import changes_of
 from cluttergen_jax.scene.bank.record import index_bytes
 from tests.helpers import banks
 

@@ -22,11 +22,11 @@ from cluttergen_jax.cli.main import main
 from cluttergen_jax.config import ROBUST_TILT, ContactConfig, StabilityConfig, VerifyConfig
 from cluttergen_jax.judging.verify import verify_files
 from cluttergen_jax.scene.bank import BankWriter, read_bank
-from cluttergen_jax.scene.bank.digests import changes_of
 from cluttergen_jax.scene.bank.hub import pull, push
+from cluttergen_jax.scene.bank.index import changes_of
 from cluttergen_jax.scene.bank.record import index_bytes
 from cluttergen_jax.scene.bank.table import SCHEMA
-from cluttergen_jax.scene.xml import scene_xml
+from cluttergen_jax.scene.export.mjcf import scene_xml
 from cluttergen_jax.schema import digest_of
 from tests.helpers import banks, textured
 from tests.helpers.environments import python_with

@@ -15,13 +15,13 @@ from cluttergen_jax.errors import BankError
 from cluttergen_jax.placement.rollout import BLOCK_SIZE
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank import remote as module
-from cluttergen_jax.scene.bank.reference import parse_reference
 from cluttergen_jax.scene.bank.remote import (
     RemoteFolder,
     fetch_mirror,
     fetch_scenes,
     publish_all,
 )
+from cluttergen_jax.scene.bank.scene import parse_reference
 from tests.helpers import banks
 
 fsspec = pytest.importorskip("fsspec", reason="needs the extra remote")

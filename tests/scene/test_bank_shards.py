@@ -17,9 +17,8 @@ from cluttergen_jax.scene.bank import index as module_index
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.bank import recover_record
 from cluttergen_jax.scene.bank.blocks import StoredBlocks, block_path, shard_path, write_shard
-from cluttergen_jax.scene.bank.digests import changes_of
 from cluttergen_jax.scene.bank.hub import check_whole
-from cluttergen_jax.scene.bank.index import BankIndex
+from cluttergen_jax.scene.bank.index import BankIndex, changes_of
 from cluttergen_jax.scene.bank.stats import stats_of
 from tests.helpers import banks
 

@@ -11,7 +11,7 @@ import pytest
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.scene.export import export_scenes
-from cluttergen_jax.scene.export.frames import factor_of, harmonic_of, mean_of
+from cluttergen_jax.scene.export.shapes import factor_of, harmonic_of, mean_of
 from tests.helpers.exports import spread
 from tests.helpers.worlds import trio
 

@@ -22,7 +22,7 @@ from cluttergen_jax.errors import BankError, ClutterGenError, PoolError, UnsafeP
 from cluttergen_jax.files import inside, write_atomically
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.blocks import StoredBlocks
-from cluttergen_jax.scene.bank.digests import digests_in
+from cluttergen_jax.scene.bank.index import digests_in
 from cluttergen_jax.scene.bank.record import index_bytes
 from cluttergen_jax.scene.bank.scene import read_scenes, region_of
 from cluttergen_jax.scene.bank.table import SCHEMA

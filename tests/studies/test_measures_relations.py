@@ -8,11 +8,11 @@ from scipy.spatial.transform import Rotation
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.judging.contacts import contacts_of
-from cluttergen_jax.judging.scene_models import SceneModels
+from cluttergen_jax.judging.scene_models import SceneModels, contacts_of
 from cluttergen_jax.placement.world import make_world
 from studies.measures.relations import (
     Relation,
+    carried_by,
     relations,
     tilt_from_rest,
     vessel_of,
@@ -133,7 +133,7 @@ def test_forces_balance_weights(models, scenes):
     np.testing.assert_allclose(contacts.force[:, :, SUPPORT, 2].sum(1), whole, rtol=1e-2)
     masses = np.array([asset.mass for asset in models.world.objects])
     np.testing.assert_allclose(contacts.weight, masses * GRAVITY * scenes[1])
-    assert contacts.carried_by[scenes[1], SUPPORT].all()
+    assert carried_by(contacts.rests_on)[scenes[1], SUPPORT].all()
     assert (contacts.penetration < 1e-3).all()
 
 

@@ -25,7 +25,7 @@ from cluttergen_jax.rendering.figure import NUM_PROPOSALS, closed_loop_figure, d
 from cluttergen_jax.rendering.film import check_format, replay, replay_frames, save_film, turntable
 from cluttergen_jax.rendering.gl import RendererError, find_backend
 from cluttergen_jax.rendering.viewer.source import SceneSource
-from cluttergen_jax.scene.bank.reference import missing_text
+from cluttergen_jax.scene.bank.scene import missing_text
 from cluttergen_jax.sensing.camera import REALSENSE_SIZE, Camera, CameraPlan
 from cluttergen_jax.views import ViewMaker
 from cluttergen_jax.views.bop import BopConfig, BopScenes

@@ -23,7 +23,7 @@ from cluttergen_jax.placement.rollout import BLOCK_SIZE, EpisodeRecorder
 from cluttergen_jax.placement.shelves import Shelves
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.scene.bank.reference import read_start
+from cluttergen_jax.scene.bank.scene import read_start
 from cluttergen_jax.spec import recorded_method
 
 COMPILING = "compiling where it was not compiled before, which takes about a minute"

@@ -22,7 +22,7 @@ from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.rendering.viewer.source import SceneSource
 from cluttergen_jax.scene import Bank, read_bank
 from cluttergen_jax.scene.bank.bank import INDEX
-from cluttergen_jax.scene.bank.reference import parse_reference
+from cluttergen_jax.scene.bank.scene import parse_reference
 from cluttergen_jax.scene.mjcf_file import read_mjcf_scene_with_notes
 
 

@@ -30,6 +30,7 @@ from cluttergen_jax.assets.object_files import object_hash, read_object
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import read_support, support_hash
 from cluttergen_jax.bank_reader import RowDigests
+from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError, PoolError
 from cluttergen_jax.files import check_utf8, inside, read_regular
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
@@ -42,6 +43,7 @@ from cluttergen_jax.scene.bank.record import (
     Recipe,
     Record,
     check_format,
+    config_of,
     fault_of,
     parse_record,
 )
@@ -87,6 +89,16 @@ class Bank:
             raise BankError(
                 f"{self.path}: how it was made is not recorded whole ({error})"
             ) from error
+
+    @cached_property
+    def stability(self) -> StabilityConfig:
+        """By which its scenes were checked (BankError: its recipe is damaged)."""
+        return config_of(StabilityConfig, self.recipe.get("stability", {}), self.path)
+
+    @cached_property
+    def contact(self) -> ContactConfig:
+        """Friction, softness and solver with which its scenes were made; raises likewise."""
+        return config_of(ContactConfig, self.recipe.get("contact", {}), self.path)
 
     @cached_property
     def table(self) -> pa.Table:
@@ -139,7 +151,7 @@ class Bank:
 
     @property
     def files(self) -> dict[str, str] | None:
-        """Digests of assets and scene files by path within the bank (`bank.digests`); None in older banks."""
+        """Digests of assets and scene files by path within the bank (`bank.index`); None in older banks."""
         return self.record.get("files")
 
     def scenes(self) -> Iterator[BankRow]:

@@ -29,7 +29,7 @@ from cluttergen_jax.files import check_regular, file_whole, inside, write_atomic
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.scene.bank.record import AGAIN, Record, block_record
 from cluttergen_jax.scene.bank.remote import RemoteFolder, publish, remote_of
-from cluttergen_jax.scene.bank.table import CLUTTER, COLUMNS, SCHEMA, schema_of, with_added
+from cluttergen_jax.scene.bank.table import CLUTTER, SCHEMA, schema_of, with_added
 
 SHARD_BLOCKS = 768
 """Blocks of a full shard: of ten-object scenes, about 100 MB. Shard s begins with block 768 s."""
@@ -161,14 +161,6 @@ def _check_columns(columns: Sequence[str] | None, rows: pa.Table) -> pa.Table:
 def with_record(table: pa.Table, record: Record) -> pa.Table:
     """The rows of a block with the bank's record in them, so that any block can stand in for `bank.json`."""
     return table.replace_schema_metadata({_METADATA: json.dumps(block_record(record)).encode()})
-
-
-def is_whole(path: Path) -> bool:
-    """Whether a file of rows has all columns that this version writes; True for one that is damaged."""
-    try:
-        return set(COLUMNS.names) <= set(pq.read_schema(path.absolute()).names)
-    except (pa.ArrowException, OSError):
-        return True
 
 
 def digest_of_file(path: Path) -> str:

@@ -20,8 +20,7 @@ from cluttergen_jax.kept_folder import hold_folder, lock_beside
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.card import write_card
-from cluttergen_jax.scene.bank.digests import changes_of, without_digests
-from cluttergen_jax.scene.bank.index import BankIndex
+from cluttergen_jax.scene.bank.index import BankIndex, changes_of
 from cluttergen_jax.scene.bank.record import INDEX, READER, NewerBankError
 from cluttergen_jax.scene.bank.remote import check_is_here, fetch_mirror, is_url
 from cluttergen_jax.schema import digest_of
@@ -354,7 +353,7 @@ def check_whole(bank: Bank, allow_unchecked: bool = False) -> None:
     """Looks at everything in a bank: rows, assets, digests of all files, and scenes' files beside their rows.
 
     Args:
-      allow_unchecked: a bank without digests of its files or rows is taken as it is.
+      allow_unchecked: a bank without digests of its files is taken as it is.
 
     Raises:
       BankError: scenes are missing, or a file is missing, damaged, changed or without a digest; or the bank
@@ -365,10 +364,10 @@ def check_whole(bank: Bank, allow_unchecked: bool = False) -> None:
         raise BankError(
             f"{bank.path}: its record does not say how it was made", "a bank with its recipe"
         )
-    if (unchecked := without_digests(bank)) and not allow_unchecked:
+    if bank.files is None and not allow_unchecked:
         raise BankError(
-            f"{bank.path}: bank.json has no digests of the bank's {unchecked}: nobody can tell whether they "
-            "were changed",
+            f"{bank.path}: bank.json has no digests of the bank's files: nobody can tell whether they were "
+            "changed",
             "a bank that knows its files",
             f"{_MENDED}, which adds them; or `allow_unchecked` to take it as it is",
         )

@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, TypedDict, TypeVar
 
 from cluttergen_jax import bank_reader
 from cluttergen_jax.assets.object_files import NAME_PATTERN
-from cluttergen_jax.errors import BankError
+from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.schema import refuse_control_characters
 
 FORMAT = bank_reader.FORMAT
@@ -67,7 +70,7 @@ class AssetDigests(TypedDict):
 class Record(TypedDict, total=False):
     """The record of a bank; blocks hold it without `num_scenes` and `files`, which change while they stay.
 
-    `files` has digests by path within the bank (`bank.digests`).
+    `files` has digests by path within the bank (`bank.index`).
     """
 
     num_scenes: int
@@ -191,3 +194,18 @@ def differences(ours: Bits, theirs: Bits) -> list[str]:
             only_there = " ".join(word for word in there if word not in here) or "nothing more"
             lines.append(f"{name} (here {only_here}, the bank {only_there})")
     return lines
+
+
+_Config = TypeVar("_Config", bound=StabilityConfig | ContactConfig | PlacementConfig)
+
+
+def config_of(kind: type[_Config], values: Mapping[str, Any], path: Path) -> _Config:
+    """A config as a bank's recipe has it (BankError: the recipe is damaged)."""
+    known = {field.name for field in fields(kind)}
+    try:
+        plain: dict[str, Any] = {
+            key: tuple(v) if isinstance(v, list) else v for key, v in values.items() if key in known
+        }
+        return kind(**plain)
+    except (TypeError, AttributeError, ConfigError) as error:
+        raise record_error(path, error) from error

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +26,7 @@ from cluttergen_jax.schema import digest_of
 
 MARK = ".url"
 """The file of a mirror that says what it stands for."""
-_SMALL = (INDEX, READER, "README.md", "assets/")
+_SMALL = (INDEX, READER, "README.md")
 _NOT_OF_THE_BANK = (".lock", MARK)
 _BUFFER = 8 * 2**20
 FETCHING = 5.0
@@ -178,33 +178,26 @@ def _fetch(folder: Path, remote: RemoteFolder) -> None:
     if INDEX not in names:
         # Of a bank that was removed there.
         (folder / INDEX).unlink(missing_ok=True)
-    small = sorted(name for name in names if name.startswith(_SMALL))
-    assets = [name for name in small if name.startswith("assets/")]
-    for name in small:
-        if name not in assets:
+    for name in sorted(names):
+        if name.startswith(_SMALL):
             remote.fetch(name, folder)
-    listed = _digests(folder)
-    _remove_others(folder, "assets", assets)
-    for name in assets:
-        file = inside(folder, name)
-        if not (file.is_file() and digest_of(file.read_bytes()) == listed.get(name)):
-            remote.fetch(name, folder)
+    _fetch_part(folder, remote, names, "assets")
 
 
-def _digests(folder: Path) -> dict[str, str]:
-    """What the index says of files; nothing where there is none, or a damaged one."""
-    try:
-        return dict(json.loads((folder / INDEX).read_bytes())["files"])
-    except (OSError, ValueError, LookupError, TypeError):
-        return {}
-
-
-def _remove_others(folder: Path, part: str, names: Sequence[str]) -> None:
-    """Removes files of a part of a mirror that the bank has no more, as where it was made anew."""
-    kept = set(names)
+def _fetch_part(folder: Path, remote: RemoteFolder, names: Iterable[str], part: str) -> None:
+    """Fetches what is not as the index says, and removes what a bank that was made anew has no more."""
+    kept = sorted(name for name in names if name.startswith(f"{part}/"))
     for file in sorted((folder / part).rglob("*")):
         if file.is_file() and file.relative_to(folder).as_posix() not in kept:
             file.unlink()
+    try:
+        listed = dict(json.loads((folder / INDEX).read_bytes())["files"])
+    except (OSError, ValueError, LookupError, TypeError):
+        listed = {}
+    for name in kept:
+        file = inside(folder, name)
+        if not (file.is_file() and digest_of(file.read_bytes()) == listed.get(name)):
+            remote.fetch(name, folder)
 
 
 def bank_folder(path: str | Path) -> Path:
@@ -214,15 +207,8 @@ def bank_folder(path: str | Path) -> Path:
 
 def fetch_scenes(path: Path) -> None:
     """Fetches the files of single scenes into a mirror."""
-    if not (remote := remote_of(path)):
-        return
-    names = sorted(name for name in remote.sizes() if name.startswith("scenes/"))
-    listed = _digests(path)
-    for name in names:
-        file = inside(path, name)
-        if not (file.is_file() and digest_of(file.read_bytes()) == listed.get(name)):
-            remote.fetch(name, path)
-    _remove_others(path, "scenes", names)
+    if remote := remote_of(path):
+        _fetch_part(path, remote, remote.sizes(), "scenes")
 
 
 def publish(path: Path, name: str) -> None:

@@ -1,12 +1,11 @@
-"""Scenes of a bank: as values that exports, viewers and models take, and many as arrays, from its columns."""
+"""Scenes of a bank: named in arguments and messages, as values that models take, and many as arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -15,19 +14,104 @@ import pyarrow.compute as pc
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.problem import Standing
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene import Origin, Scene
-from cluttergen_jax.scene.bank.bank import Bank
-from cluttergen_jax.scene.bank.record import record_error
-from cluttergen_jax.scene.bank.reference import missing_text, numbers_text
+from cluttergen_jax.scene.bank.bank import Bank, read_bank
+from cluttergen_jax.scene.bank.record import INDEX, record_error
+from cluttergen_jax.scene.bank.remote import bank_folder, is_url
 from cluttergen_jax.scene.bank.table import BankRow
 from cluttergen_jax.scene.collection import most_of
 
+REFERENCES = "BANK, BANK:INDEX or BANK/scenes/NUMBER.xml"
+_SAID = 8
+
+
+def parse_reference(text: str) -> tuple[Path, int | None] | None:
+    """The bank's folder and the scene's number in it, None for all of them.
+
+    Whatever is no file is taken for a bank's folder, unread; of a URL it is the mirror, which is fetched.
+    None for a file that is no scene of a bank.
+
+    Args:
+      text: one of `REFERENCES`, where BANK may be a URL.
+
+    Raises:
+      BankError: a URL cannot be reached.
+    """
+    if is_url(text):
+        head, _, number = text.rpartition(":")
+        # What follows a question mark may end with a port.
+        has_number = number.isdecimal() and "?" not in text
+        return bank_folder(head if has_number else text), int(number) if has_number else None
+    path = Path(text)
+    if path.is_file():
+        bank = path.parent.parent
+        is_scene = (
+            path.parent.name == "scenes" and path.stem.isdecimal() and (bank / INDEX).is_file()
+        )
+        return (bank, int(path.stem)) if is_scene else None
+    head, _, number = text.rpartition(":")
+    if head and number.isdecimal() and not path.exists():
+        return Path(head), int(number)
+    return path, None
+
+
+def numbers_text(numbers: Iterable[int]) -> str:
+    """Numbers of scenes as ranges such as `0-3, 7, 9-12`; of many ranges the first eight."""
+    runs: list[list[int]] = []
+    for number in sorted(numbers):
+        if runs and runs[-1][1] == number - 1:
+            runs[-1][1] = number
+        else:
+            runs.append([number, number])
+    ranges = [str(first) if first == last else f"{first}-{last}" for first, last in runs[:_SAID]]
+    return ", ".join([*ranges, *(["..."] if len(runs) > _SAID else [])])
+
+
+def missing_text(asked: Collection[int], held: Collection[int]) -> str:
+    """What to say of scenes that were asked for and are not held, in one sentence; empty if all are there.
+
+    Args:
+      asked: numbers, each once.
+      held: at least one.
+    """
+    held = held if isinstance(held, range) else frozenset(held)
+    missing = [number for number in asked if number not in held]
+    if not missing:
+        return ""
+    holds = f"{held[0]}-{held[-1]}" if isinstance(held, range) else numbers_text(held)
+    if len(missing) == 1:
+        return f"no scene {missing[0]} in it, which holds {holds}"
+    most = f"{len(missing)} of the {len(asked)} scenes asked for"
+    return f"{most} ({numbers_text(missing)}) are not in it, which holds {holds}"
+
+
+def read_start(text: str | None) -> Standing | None:
+    """The objects of one scene of a bank, from the bank's own copies, and where they stand.
+
+    Args:
+      text: which one, as `parse_reference` reads it; None for nothing.
+
+    Raises:
+      ConfigError: the text names no single scene.
+      BankError: there is no such bank or scene, or the scene failed.
+    """
+    if text is None:
+        return None
+    path, number = parse_reference(text) or (None, None)
+    if path is None or number is None:
+        raise ConfigError(f"start {text!r}", "BANK:INDEX, such as out:3")
+    bank = read_bank(path)
+    scene = bank.rows([number]).get(number)
+    if scene is None or not scene.is_success:
+        state = "no such scene" if scene is None else f"a scene that failed: {scene.verdict}"
+        raise BankError(f"start {text}: {state}", "a scene that stands")
+    return [bank.object(base_name(name)) for name in scene.objects], scene.poses
+
+
 _LEAVE_OUT = "leaving those out; without numbers, all that stand are taken"
-_Config = TypeVar("_Config", bound=StabilityConfig | ContactConfig | PlacementConfig)
 _LISTS = ("is_success", "is_placed", "objects")
 _COLUMNS = ("index", *_LISTS, "poses")
 
@@ -54,14 +138,7 @@ def select_rows(bank: Bank, indices: Sequence[int] | None = None) -> list[BankRo
     Raises:
       BankError: one of them is not there or failed, or none succeeded.
     """
-    if indices is None:
-        rows = list(bank.scenes())
-        good = [row for row in rows if row.is_success]
-        if not good:
-            raise BankError(
-                f"{bank.path}: none of its {len(rows)} scenes succeeded", hint="more scenes"
-            )
-        return good
+    indices = good_indices(bank) if indices is None else indices
     by_index = bank.rows(indices)
     faults = []
     if len(by_index) < len(set(indices)):
@@ -96,14 +173,13 @@ def read_scenes(bank: Bank, indices: Sequence[int] | None = None) -> Iterator[Sc
 def _scene(bank: Bank, row: BankRow, objects: Sequence[ObjectAsset]) -> Scene:
     recipe = bank.recipe
     checkpoint = recipe.get("checkpoint")
-    stability, contact = rules_of(bank)
     return Scene(
         names=row.objects,
         objects=tuple(objects),
         poses=row.poses,
         support=bank.support,
-        stability=stability,
-        contact=contact,
+        stability=bank.stability,
+        contact=bank.contact,
         origin=Origin(
             bank=bank.path.resolve().name,
             index=row.index,
@@ -120,26 +196,6 @@ def _scene(bank: Bank, row: BankRow, objects: Sequence[ObjectAsset]) -> Scene:
     )
 
 
-def config_of(kind: type[_Config], values: Mapping[str, Any], path: Path) -> _Config:
-    """A config as a bank's recipe has it (BankError: the recipe is damaged)."""
-    known = {field.name for field in fields(kind)}
-    try:
-        plain: dict[str, Any] = {
-            key: tuple(v) if isinstance(v, list) else v for key, v in values.items() if key in known
-        }
-        return kind(**plain)
-    except (TypeError, AttributeError, ConfigError) as error:
-        raise record_error(path, error) from error
-
-
-def rules_of(bank: Bank) -> tuple[StabilityConfig, ContactConfig]:
-    """With which a bank's scenes were made (BankError: the recipe is damaged)."""
-    recipe = bank.record.get("recipe", {})
-    stability = config_of(StabilityConfig, recipe.get("stability", {}), bank.path)
-    contact = config_of(ContactConfig, recipe.get("contact", {}), bank.path)
-    return stability, contact
-
-
 def region_of(bank: Bank) -> Rectangle:
     """The region that a bank's recipe asks for (BankError: the recipe is damaged)."""
     try:
@@ -149,8 +205,8 @@ def region_of(bank: Bank) -> Rectangle:
         raise record_error(bank.path, error) from error
 
 
-class SceneArrays(NamedTuple):
-    """S scenes of N slots.
+class PlacedAssets(NamedTuple):
+    """The assets of S scenes of N slots, and where they are.
 
     Attributes:
       number: i32[S], their numbers in the bank.
@@ -162,15 +218,15 @@ class SceneArrays(NamedTuple):
     asset_index: np.ndarray
     poses: np.ndarray
 
-    def part(self, first: int, last: int) -> SceneArrays:
+    def part(self, first: int, last: int) -> PlacedAssets:
         """Scenes `first` to `last` - 1 of these."""
-        return SceneArrays(*(array[first:last] for array in self))
+        return PlacedAssets(*(array[first:last] for array in self))
 
-    def pad_slots(self, num_slots: int) -> SceneArrays:
+    def pad_slots(self, num_slots: int) -> PlacedAssets:
         """The same with at least so many slots."""
         more = ((0, 0), (0, max(num_slots - self.asset_index.shape[1], 0)))
         asset_index = np.pad(self.asset_index, more, constant_values=-1)
-        return SceneArrays(self.number, asset_index, np.pad(self.poses, (*more, (0, 0))))
+        return PlacedAssets(self.number, asset_index, np.pad(self.poses, (*more, (0, 0))))
 
 
 class _Slots(NamedTuple):
@@ -178,7 +234,7 @@ class _Slots(NamedTuple):
 
     Attributes:
       is_placed: bool[L]; scene, slot: i[P], where each is.
-      asset_index: see `SceneArrays`.
+      asset_index: see `PlacedAssets`.
     """
 
     is_placed: np.ndarray
@@ -200,7 +256,7 @@ class SceneArrayReader:
         self.names: dict[str, int] = {}
         self.most = np.zeros(0, int)
 
-    def scenes(self, wanted: np.ndarray | None = None) -> Iterator[SceneArrays]:
+    def scenes(self, wanted: np.ndarray | None = None) -> Iterator[PlacedAssets]:
         """Those of these numbers (sorted) that stand; all that stand if None.
 
         Raises:
@@ -225,13 +281,13 @@ class SceneArrayReader:
             num_slots = max(num_slots, slots.asset_index.shape[1])
         return num_slots
 
-    def _arrays(self, rows: pa.Table) -> SceneArrays:
+    def _arrays(self, rows: pa.Table) -> PlacedAssets:
         slots = self._slots(rows)
         poses = rows["poses"].combine_chunks()
         values = np.array(pc.list_flatten(pc.list_flatten(poses)), np.float32).reshape(-1, 7)
         pad_slots = np.zeros((*slots.asset_index.shape, 7), np.float32)
         pad_slots[slots.scene, slots.slot] = values[slots.is_placed]
-        return SceneArrays(np.array(rows["index"], np.int32), slots.asset_index, pad_slots)
+        return PlacedAssets(np.array(rows["index"], np.int32), slots.asset_index, pad_slots)
 
     def _slots(self, rows: pa.Table) -> _Slots:
         columns = {name: rows[name].combine_chunks() for name in ("is_placed", "objects")}
@@ -257,8 +313,8 @@ class SceneArrayReader:
         return np.array(known, np.int32)[np.array(encoded.indices)]
 
 
-def join_scenes(parts: Sequence[SceneArrays]) -> SceneArrays:
+def join_scenes(parts: Sequence[PlacedAssets]) -> PlacedAssets:
     """All the scenes of some parts, at least one, padded to the most slots."""
     num_slots = max(part.asset_index.shape[1] for part in parts)
     pad_slots = [part.pad_slots(num_slots) for part in parts]
-    return SceneArrays(*(np.concatenate(arrays) for arrays in zip(*pad_slots, strict=True)))
+    return PlacedAssets(*(np.concatenate(arrays) for arrays in zip(*pad_slots, strict=True)))

@@ -228,11 +228,10 @@ class CertificateStats:
       penetration: metres, the deepest overlap.
       contacts: contact points of a scene, mean.
       on_others: share of the objects that rest on another object.
-      margin_median, margin_least: metres, the least support margin in a scene; None if an older version
-        measured.
-      tilt: share of directions withstood, by degrees of tilt; empty likewise.
-      robust: share of the scenes that stand in soft contact, with less friction and tilted gravity; None
-        likewise.
+      margin_median, margin_least: metres, the least support margin in a scene; None if nothing is carried
+        from below.
+      tilt: share of directions withstood, by degrees of tilt.
+      robust: share of the scenes that stand in soft contact, with less friction and tilted gravity.
     """
 
     scenes: int
@@ -247,7 +246,7 @@ class CertificateStats:
     margin_median: float | None
     margin_least: float | None
     tilt: dict[str, float]
-    robust: float | None
+    robust: float
 
     def lines(self) -> list[str]:
         """For people, a fact each."""
@@ -265,14 +264,12 @@ class CertificateStats:
             lines.append(
                 f"support margin, the least in a scene: {middle} in the median, {least} at least"
             )
-        if self.tilt:
-            shares = ", ".join(f"{share:.1%} by {by} degrees" for by, share in self.tilt.items())
-            lines.append(f"directions in which tilted gravity topples nothing: {shares}")
-        if self.robust is not None:
-            lines.append(
-                f"robust (tilted by 3 degrees, less friction, soft contact): {self.robust:.1%}"
-            )
-        return lines
+        shares = ", ".join(f"{share:.1%} by {by} degrees" for by, share in self.tilt.items())
+        return [
+            *lines,
+            f"directions in which tilted gravity topples nothing: {shares}",
+            f"robust (tilted by 3 degrees, less friction, soft contact): {self.robust:.1%}",
+        ]
 
 
 @dataclass(frozen=True)
@@ -455,7 +452,6 @@ def _certificate(rows: pa.Table) -> CertificateStats | None:
         name: np.array(rows[name].drop_null()) for name in CERTIFICATE.names if name not in _LISTS
     }
     margin = of["margin"]
-    has_tilt = len(of["tilt_1"]) > 0
     return CertificateStats(
         scenes=rows.num_rows,
         shake_median=float(np.median(of["shake"])),
@@ -468,8 +464,8 @@ def _certificate(rows: pa.Table) -> CertificateStats | None:
         on_others=int(np.sum(rows["num_on_others"])) / max(int(np.sum(rows["num_placed"])), 1),
         margin_median=float(np.median(margin)) if len(margin) else None,
         margin_least=float(margin.min()) if len(margin) else None,
-        tilt={by: float(of[f"tilt_{by}"].mean()) for by in ("1", "2", "5")} if has_tilt else {},
-        robust=float(of["robust"].mean()) if len(of["robust"]) else None,
+        tilt={by: float(of[f"tilt_{by}"].mean()) for by in ("1", "2", "5")},
+        robust=float(of["robust"].mean()),
     )
 
 

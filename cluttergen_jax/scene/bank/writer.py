@@ -29,11 +29,9 @@ from cluttergen_jax.scene.bank.blocks import (
     block_files,
     block_path,
     digest_of_file,
-    is_whole,
 )
-from cluttergen_jax.scene.bank.digests import digests_in
 from cluttergen_jax.scene.bank.hub import is_of_a_bank
-from cluttergen_jax.scene.bank.index import BankIndex
+from cluttergen_jax.scene.bank.index import BankIndex, digests_in
 from cluttergen_jax.scene.bank.record import (
     FORMAT,
     INDEX,
@@ -163,12 +161,11 @@ class BankWriter:
         self._write_shard(block // self._shard_blocks, is_last=False)
 
     def finish(self) -> None:
-        """Makes a shard of the last blocks, too, in a bank of more than one shard; all files have one schema.
+        """Makes a shard of the last blocks, too, in a bank of more than one shard.
 
         Raises:
           BankError: it cannot be written.
         """
-        self._complete_columns()
         is_last = len(self._sound) > self._shard_blocks
         for shard in sorted({block // self._shard_blocks for block in self._loose}):
             self._write_shard(shard, is_last)
@@ -183,17 +180,6 @@ class BankWriter:
         # A single block stays in the file that it has.
         if len(blocks) > 1 and self._sound.issuperset(blocks) and self._index.write_shard(blocks):
             self._loose -= set(blocks)
-
-    def _complete_columns(self) -> None:
-        """Writes files of an older version again, which lack columns that others of the bank have."""
-        stored = StoredBlocks(self.path)
-        for name, blocks in block_files(self.path).items():
-            if is_whole(self.path / name) or not self._sound.issuperset(blocks):
-                continue
-            if len(blocks) > 1:
-                self._index.write_shard(blocks)
-            else:
-                self._index.write_block(blocks[0], stored.read_block(blocks[0]))
 
     def extend(self, num_scenes: int) -> None:
         """The bank is asked for at least so many scenes from now on (BankError: it cannot be written)."""

@@ -1,12 +1,22 @@
 """Scenes that travel: self-contained folders for MuJoCo, PyBullet, Drake, Isaac, glTF viewers and others.
 
 folder: `export_scenes`, licences and origin; its cameras are those of `scene.cameras`. formats: what there
-is. bank_folder: formats that take a whole bank. urdf, sdf, usd, glb, robosuite, molmospaces, arena: one kind
-of file each (MJCF is `scene.xml`). simready: what USD objects say of themselves. scene_json: that of loaders,
-ManiSkill's included. meshes, frames: what they share. scripts: data, not code: loaders that travel along.
+is. mjcf, links (URDF, SDF), usd, glb, molmospaces: one kind of file each. scene_json: that of loaders,
+ManiSkill's included. shapes: what they share of a body. scripts: data, not code: loaders that travel along.
 """
 
-from cluttergen_jax.scene.export.folder import BANK_FORMATS, export_bank, export_scenes
-from cluttergen_jax.scene.export.formats import FORMATS, Format, register_format
+from typing import TYPE_CHECKING
 
-__all__ = ["BANK_FORMATS", "FORMATS", "Format", "export_bank", "export_scenes", "register_format"]
+from cluttergen_jax.lazy import offer
+
+if TYPE_CHECKING:
+    from cluttergen_jax.scene.export.folder import BANK_FORMATS, export_bank, export_scenes
+    from cluttergen_jax.scene.export.formats import FORMATS, Format, register_format
+
+__getattr__, __all__ = offer(
+    __name__,
+    {
+        "folder": ("BANK_FORMATS", "export_bank", "export_scenes"),
+        "formats": ("FORMATS", "Format", "register_format"),
+    },
+)

@@ -20,7 +20,8 @@ from __future__ import annotations
 import importlib.resources
 import json
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -38,9 +39,9 @@ from cluttergen_jax.kept_folder import lock_beside
 from cluttergen_jax.scene import Scene, scene_cameras
 from cluttergen_jax.scene.collection import check_alike
 from cluttergen_jax.scene.export.formats import FORMATS, Format, find_format, own_record
-from cluttergen_jax.scene.export.meshes import SUPPORT_FOLDER
 from cluttergen_jax.scene.export.molmospaces import read_grasps, write_grasps
 from cluttergen_jax.scene.export.scene_json import cameras_record, objects_record
+from cluttergen_jax.scene.export.shapes import SUPPORT_FOLDER
 
 _READER = "bank_reader.py"
 _PARTS = ("bank.json", "README.md", _READER, "scenes-*.parquet", "assets")
@@ -83,25 +84,30 @@ def export_scenes(
         allowed = ", ".join(each.name for each in FORMATS.values() if each.takes_grasps)
         raise ConfigError(f"grasps in the format {kind.name!r}", f"grasps with: {allowed}")
     transforms = {} if grasps is None else read_grasps(grasps)
+    if cameras:
+        scenes = (replace(each, cameras=scene_cameras(each.support, cameras)) for each in scenes)
+    with _export_folder(out, overwrite) as fresh:
+        folder = _Folder(fresh, kind, transforms)
+        folder.write(scenes)
+        if grasps is not None and not folder.num_grasped:
+            given = f"grasps {str(grasps)!r}, of none of the objects in these scenes"
+            raise ConfigError(
+                given, "grasps of the same objects", "`cluttergen robot grasps` of their pool"
+            )
+    return out
+
+
+@contextmanager
+def _export_folder(out: Path, overwrite: bool) -> Iterator[Path]:
+    """A folder that takes the place of `out` after the block, which one export at a time may."""
     check_place(out, overwrite)
     with lock_beside(out):
         # The process that held the lock may have made it meanwhile.
         check_place(out, overwrite)
         with folder_whole(out) as fresh:
-            if cameras:
-                scenes = (
-                    replace(each, cameras=scene_cameras(each.support, cameras)) for each in scenes
-                )
-            folder = _Folder(fresh, kind, transforms)
-            folder.write(scenes)
-            if grasps is not None and not folder.num_grasped:
-                given = f"grasps {str(grasps)!r}, of none of the objects in these scenes"
-                raise ConfigError(
-                    given, "grasps of the same objects", "`cluttergen robot grasps` of their pool"
-                )
+            yield fresh
             # Where the file system knows no locks, another export may have been faster.
             check_place(out, overwrite)
-    return out
 
 
 def generator_version() -> str:
@@ -341,31 +347,28 @@ def export_bank(
     kind = BANK_FORMATS[format]
     out = Path(out)
     package = importlib.resources.files("cluttergen_jax")
-    check_place(out, overwrite)
-    with lock_beside(out):
-        check_place(out, overwrite)
-        with folder_whole(out) as fresh:
-            (fresh / "bank").mkdir(parents=True)
-            for pattern in _PARTS:
-                for path in bank.glob(pattern):
-                    copy = shutil.copytree if path.is_dir() else shutil.copy2
-                    copy(path, fresh / "bank" / path.name)
-            for source in (package / _READER, package / "scene/export/scripts" / kind.script):
-                (fresh / Path(str(source)).name).write_text(
-                    source.read_text(encoding="utf-8"), encoding="utf-8"
-                )
-            record = {
-                "format": 1,
-                "kind": "cluttergen export",
-                "export_format": kind.name,
-                "generator": {"cluttergen_jax": generator_version()},
-                "scenes": [int(index) for index in indices],
-            }
-            terms = licences_text(support, objects, kind.script)
-            (fresh / LICENCES).write_text(terms, encoding="utf-8")
-            (fresh / MANIFEST).write_text(json.dumps(record) + "\n", encoding="utf-8")
-            about = f"{len(indices)} scenes, exported by cluttergen_jax as {kind.name}."
-            about += f"\n\nOpen with {kind.opens_in}\n"
-            (fresh / "README.txt").write_text(about, encoding="utf-8")
-            check_place(out, overwrite)
+    with _export_folder(out, overwrite) as fresh:
+        (fresh / "bank").mkdir(parents=True)
+        for pattern in _PARTS:
+            for path in bank.glob(pattern):
+                copy = shutil.copytree if path.is_dir() else shutil.copy2
+                copy(path, fresh / "bank" / path.name)
+        record = {
+            "format": 1,
+            "kind": "cluttergen export",
+            "export_format": kind.name,
+            "generator": {"cluttergen_jax": generator_version()},
+            "scenes": [int(index) for index in indices],
+        }
+        about = f"{len(indices)} scenes, exported by cluttergen_jax as {kind.name}."
+        scripts = package / "scene/export/scripts"
+        files = {
+            _READER: (package / _READER).read_text(encoding="utf-8"),
+            kind.script: (scripts / kind.script).read_text(encoding="utf-8"),
+            LICENCES: licences_text(support, objects, kind.script),
+            MANIFEST: json.dumps(record) + "\n",
+            "README.txt": f"{about}\n\nOpen with {kind.opens_in}\n",
+        }
+        for name, text in files.items():
+            (fresh / name).write_text(text, encoding="utf-8")
     return out

@@ -19,27 +19,25 @@ from cluttergen_jax.config import ContactConfig, ExportFormat
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.own_parts import load_module, module_name
 from cluttergen_jax.scene import Scene
-from cluttergen_jax.scene.export.arena import write_layout
 from cluttergen_jax.scene.export.glb import glb_bytes
-from cluttergen_jax.scene.export.meshes import (
-    object_folder,
-    registry_folder,
-    usd_folder,
-    write_object_meshes,
-    write_support_meshes,
-)
-from cluttergen_jax.scene.export.molmospaces import asset_json, scene_metadata
-from cluttergen_jax.scene.export.robosuite import robosuite_xml, support_xml
-from cluttergen_jax.scene.export.scene_json import maniskill_json, scene_json
-from cluttergen_jax.scene.export.sdf import (
+from cluttergen_jax.scene.export.links import (
     PACKAGE_XML,
     model_directives,
     object_sdf,
+    object_urdf,
     sdf_text,
     support_sdf,
+    support_urdf,
 )
-from cluttergen_jax.scene.export.urdf import object_urdf, support_urdf
-from cluttergen_jax.scene.xml import object_xml, scene_xml
+from cluttergen_jax.scene.export.mjcf import object_xml, robosuite_xml, scene_xml
+from cluttergen_jax.scene.export.molmospaces import asset_json, scene_metadata
+from cluttergen_jax.scene.export.scene_json import maniskill_json, scene_json
+from cluttergen_jax.scene.export.shapes import (
+    object_folder,
+    registry_folder,
+    usd_folder,
+    write_meshes,
+)
 
 WriteObject = Callable[[Path, ObjectAsset, ContactConfig], None]
 WriteSupport = Callable[[Path, SupportAsset, ContactConfig], None]
@@ -73,25 +71,25 @@ class Format:
     write_support: WriteSupport | None
     write_scene: WriteScene
     script: str = ""
-    object_folder: Callable[[ObjectAsset], str] = lambda asset: object_folder(asset.name)
+    object_folder: Callable[[ObjectAsset], str] = object_folder
     takes_cameras: bool = True
     takes_grasps: bool = False
     notes: str = ""
     require: Callable[[], None] = lambda: None
 
 
+def _write_meshes(folder: Path, asset: Any, contact: ContactConfig) -> None:
+    write_meshes(folder, asset)
+
+
 def _files(
-    meshes: Callable[[Path, Any], None],
-    model: Callable[[Any, ContactConfig], bytes] | None = None,
-    ending: str = "",
-    name: str = "",
+    model: Callable[[Any, ContactConfig], bytes], ending: str, name: str = ""
 ) -> Callable[[Path, Any, ContactConfig], None]:
     """Writes an object or the support: meshes, and a model called `name`, or as its folder."""
 
     def write(folder: Path, asset: Any, contact: ContactConfig) -> None:
-        meshes(folder, asset)
-        if model is not None:
-            (folder / f"{name or folder.name}.{ending}").write_bytes(model(asset, contact))
+        write_meshes(folder, asset)
+        (folder / f"{name or folder.name}.{ending}").write_bytes(model(asset, contact))
 
     return write
 
@@ -124,7 +122,7 @@ def _mjcf_text(scene: Scene, names_detector: bool = True, has_joints: bool = Fal
 
 
 def _write_molmospaces_object(folder: Path, asset: ObjectAsset, contact: ContactConfig) -> None:
-    write_object_meshes(folder, asset)
+    write_meshes(folder, asset)
     (folder / f"{asset.name}.xml").write_bytes(object_xml(asset, contact, SHARED_IMAGES))
     (folder / f"{asset.name}.json").write_bytes(asset_json(asset))
 
@@ -135,18 +133,13 @@ def _write_molmospaces_scene(path: Path, scene: Scene) -> None:
 
 
 def _write_sdf_support(folder: Path, support: SupportAsset, contact: ContactConfig) -> None:
-    _files(write_support_meshes, support_sdf, "sdf")(folder, support, contact)
+    _files(support_sdf, "sdf")(folder, support, contact)
     (folder.parents[1] / "package.xml").write_text(PACKAGE_XML, encoding="ascii")
 
 
 def _write_sdf_scene(path: Path, scene: Scene) -> None:
     path.write_bytes(sdf_text(scene))
     path.with_suffix(".dmd.yaml").write_bytes(model_directives(scene))
-
-
-def _write_arena_scene(path: Path, scene: Scene) -> None:
-    _usd("write_scene_usd")(path, scene)
-    write_layout(path.parents[1], scene)
 
 
 def _usd(function: str) -> Callable[..., None]:
@@ -173,8 +166,8 @@ _DRAKE_NOTES = (
     "parser.package_map().AddPackageXml('package.xml')."
 )
 _ROBOSUITE = (
-    _files(write_object_meshes, robosuite_xml, "xml"),
-    _files(write_support_meshes, support_xml, "xml"),
+    _files(robosuite_xml, "xml"),
+    _files(robosuite_xml, "xml"),
     _scene_writer(partial(scene_json, ending="xml")),
 )
 """Objects, support and scene as robosuite reads them, and LIBERO, which is built on it."""
@@ -193,24 +186,24 @@ _ALL = (
         "mjcf",
         "MuJoCo: python -m mujoco.viewer --mjcf=scenes/NUMBER.xml; the keyframe `scene` holds the poses too.",
         "xml",
-        _files(write_object_meshes),
-        _files(write_support_meshes),
+        _write_meshes,
+        _write_meshes,
         _scene_writer(_mjcf_text),
     ),
     Format(
         "mjcf-old",
         "MuJoCo before 3.2.3, from 2.3.7 on: as `mjcf`, without the flag nativeccd, which those do not know.",
         "xml",
-        _files(write_object_meshes),
-        _files(write_support_meshes),
+        _write_meshes,
+        _write_meshes,
         _scene_writer(partial(_mjcf_text, names_detector=False)),
     ),
     Format(
         "mjcf-joints",
         "MuJoCo, as `mjcf`, but drawers and doors of the support can move: they come first in qpos.",
         "xml",
-        _files(write_object_meshes),
-        _files(write_support_meshes),
+        _write_meshes,
+        _write_meshes,
         _scene_writer(partial(_mjcf_text, has_joints=True)),
         notes="Limits, masses, damping, friction and armature of the support's joints are those of its file "
         "where it states them. Else masses are estimates, and friction is as much as what moves weighs; "
@@ -221,8 +214,8 @@ _ALL = (
         "PyBullet: python load_pybullet.py scenes/NUMBER.json (needs pybullet only; --direct opens no "
         "window). Objects and support are one URDF each.",
         "json",
-        _files(write_object_meshes, object_urdf, "urdf"),
-        _files(write_support_meshes, support_urdf, "urdf"),
+        _files(object_urdf, "urdf"),
+        _files(support_urdf, "urdf"),
         _scene_writer(partial(scene_json, ending="urdf")),
         script="load_pybullet.py",
         takes_cameras=False,
@@ -233,7 +226,7 @@ _ALL = (
         "AddMultibodyPlant(MultibodyPlantConfig(time_step=1/240, discrete_contact_approximation='sap'), "
         "builder); Gazebo: gz sim scenes/NUMBER.sdf.",
         "sdf",
-        _files(write_object_meshes, object_sdf, "sdf"),
+        _files(object_sdf, "sdf"),
         _write_sdf_support,
         _write_sdf_scene,
         notes=_DRAKE_NOTES,
@@ -251,8 +244,8 @@ _ALL = (
         "maniskill",
         "ManiSkill 3: import cluttergen_maniskill, then gymnasium.make('ClutterGenScene-v1', scene='N').",
         "json",
-        _files(write_object_meshes),
-        _files(write_support_meshes),
+        _write_meshes,
+        _write_meshes,
         _scene_writer(maniskill_json),
         script="cluttergen_maniskill.py",
         takes_cameras=False,
@@ -280,7 +273,7 @@ _ALL = (
         "RoboCasa: import cluttergen_robocasa, then cluttergen_robocasa.register(); tasks draw these objects "
         "with robosuite.make(TASK, obj_registries=('cluttergen',), obj_groups='cluttergen', ...).",
         "json",
-        _files(write_object_meshes, partial(robosuite_xml, region=True), "xml", "model"),
+        _files(partial(robosuite_xml, region=True), "xml", "model"),
         _ROBOSUITE[1],
         _scene_writer(partial(scene_json, ending="xml", file_of=_robocasa_file)),
         script="cluttergen_robocasa.py",
@@ -294,7 +287,7 @@ _ALL = (
         "'user', scene_xml_paths=['scenes/NUMBER.xml'].",
         "xml",
         _write_molmospaces_object,
-        _files(write_support_meshes),
+        _write_meshes,
         _write_molmospaces_scene,
         notes=_MOLMOSPACES_NOTES,
         takes_grasps=True,
@@ -304,7 +297,7 @@ _ALL = (
         name="arena",
         opens_in="Isaac Lab-Arena 0.4: cluttergen_arena.register() once Isaac has started, then "
         "environment_runner.py --env_spec layouts/NAME.yaml --placement_layouts layouts/NAME.jsonl.",
-        write_scene=_write_arena_scene,
+        write_scene=_usd("write_scene_arena"),
         script="cluttergen_arena.py",
         notes="Scenes of the same objects are rows of the same file.",
     ),

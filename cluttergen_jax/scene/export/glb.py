@@ -10,15 +10,16 @@ from __future__ import annotations
 import json
 import math
 import struct
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
+from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shading import linear, shade
 from cluttergen_jax.assets.shape import Piece, Texture
 from cluttergen_jax.scene import FixedCamera, Scene
-from cluttergen_jax.scene.export.frames import friction_of
-from cluttergen_jax.scene.export.meshes import drawn_pieces
+from cluttergen_jax.scene.export.shapes import friction_of
 
 _ARRAY = 34962
 _ELEMENT = 34963
@@ -26,6 +27,11 @@ _FLOAT = 5126
 _UNSIGNED = 5125
 _Y_UP = [-math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]
 _PART_RGBA = (0.6, 0.6, 0.65, 1.0)
+
+
+def _plain(mesh: Mesh) -> Piece:
+    """A collision part."""
+    return Piece(mesh, _PART_RGBA)
 
 
 def glb_bytes(scene: Scene) -> bytes:
@@ -46,25 +52,21 @@ class _Builder:
 
     def of(self, scene: Scene) -> bytes:
         solids = scene.support.collision_pieces
-        supports = scene.support.pieces or solids
-        boxes = [Piece(piece.mesh, _PART_RGBA) for piece in solids]
-        drawn = {
-            name: self._mesh(name, drawn_pieces(asset)) for name, asset in scene.assets.items()
-        }
+        assets = scene.assets.items()
+        drawn = {name: self._mesh(name, asset.drawn_pieces) for name, asset in assets}
         hulls = {
             name: self._mesh(
-                f"{name}/collision", [Piece(part.hull(), _PART_RGBA) for part in asset.parts]
+                f"{name}/collision", map(_plain, (part.hull() for part in asset.parts))
             )
-            for name, asset in scene.assets.items()
+            for name, asset in assets
         }
-        roots = [
-            self._world("world", scene, self._mesh("support", supports), drawn),
-            self._world("world/collision", scene, self._mesh("support/collision", boxes), hulls),
-        ]
+        support = self._mesh("support", scene.support.pieces or solids)
+        roots = [self._world(scene, "", support, drawn)]
+        support = self._mesh("support/collision", (_plain(piece.mesh) for piece in solids))
+        roots.append(self._world(scene, "/collision", support, hulls))
         return self._pack(roots)
 
-    def _world(self, name: str, scene: Scene, support: int, meshes: dict[str, int]) -> int:
-        suffix = "" if name == "world" else "/collision"
+    def _world(self, scene: Scene, suffix: str, support: int, meshes: dict[str, int]) -> int:
         friction = {"friction": scene.contact.friction[0]}
         children = [
             self._add("nodes", {"name": "support" + suffix, "mesh": support, "extras": friction})
@@ -86,7 +88,12 @@ class _Builder:
             }
             children.append(self._add("nodes", node))
         children += [self._camera(each) for each in scene.cameras if not suffix]
-        return self._add("nodes", {"name": name, "rotation": _Y_UP, "children": children})
+        world: dict[str, object] = {
+            "name": "world" + suffix,
+            "rotation": _Y_UP,
+            "children": children,
+        }
+        return self._add("nodes", world)
 
     def _camera(self, camera: FixedCamera) -> int:
         """glTF's cameras look along -z too."""
@@ -105,7 +112,7 @@ class _Builder:
             "nodes", {**node, "translation": camera.position.tolist(), "rotation": [x, y, z, w]}
         )
 
-    def _mesh(self, name: str, pieces: Any) -> int:
+    def _mesh(self, name: str, pieces: Iterable[Piece]) -> int:
         primitives = [self._primitive(piece) for piece in pieces]
         return self._add("meshes", {"name": name, "primitives": primitives})
 
@@ -129,17 +136,13 @@ class _Builder:
         self, values: np.ndarray, kind: str, component: int, target: int, **more: Any
     ) -> int:
         data = values.astype("<u4" if component == _UNSIGNED else "<f4").tobytes()
-        index = self._view(data, target=target)
-        return self._add(
-            "accessors",
-            {
-                "bufferView": index,
-                "componentType": component,
-                "count": len(values),
-                "type": kind,
-                **more,
-            },
-        )
+        accessor = {
+            "bufferView": self._view(data, target=target),
+            "componentType": component,
+            "count": len(values),
+            "type": kind,
+        }
+        return self._add("accessors", accessor | more)
 
     def _view(self, data: bytes, **more: Any) -> int:
         view = {"buffer": 0, "byteOffset": len(self._blob), "byteLength": len(data), **more}
@@ -149,7 +152,7 @@ class _Builder:
 
     def _material(self, piece: Piece) -> int:
         rgba = piece.rgba
-        key = (piece.rgba, piece.texture)
+        key = (rgba, piece.texture)
         if key not in self._materials:
             colour: dict[str, object] = {
                 "baseColorFactor": linear(rgba),
@@ -194,12 +197,6 @@ class _Builder:
         text += b" " * (-len(text) % 4)
         blob = bytes(self._blob) + b"\0" * (-len(self._blob) % 4)
         size = 12 + 8 + len(text) + 8 + len(blob)
-        return b"".join(
-            [
-                struct.pack("<4sII", b"glTF", 2, size),
-                struct.pack("<I4s", len(text), b"JSON"),
-                text,
-                struct.pack("<I4s", len(blob), b"BIN\0"),
-                blob,
-            ]
-        )
+        head = struct.pack("<4sII", b"glTF", 2, size)
+        json_head = struct.pack("<I4s", len(text), b"JSON")
+        return head + json_head + text + struct.pack("<I4s", len(blob), b"BIN\0") + blob

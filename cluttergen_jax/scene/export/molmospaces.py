@@ -19,7 +19,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import rotation_matrix
 from cluttergen_jax.scene import Scene
-from cluttergen_jax.scene.export.meshes import category
+from cluttergen_jax.scene.export.shapes import category
 from cluttergen_jax.schema import Numbers, check_numbers, read_sealed_parquet
 
 # Whose hand the grasps were tested with: what MolmoSpaces calls it, and what a file of grasps does.

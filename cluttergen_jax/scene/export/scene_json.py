@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import json
 import posixpath
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.assets.obj import part_name
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import PART_RGBA, SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.geometry import transform_points, yaw_quaternion
 from cluttergen_jax.scene import Scene
-from cluttergen_jax.scene.export.frames import friction_of, mean_of, principal_of
-from cluttergen_jax.scene.export.meshes import (
+from cluttergen_jax.scene.export.shapes import (
     SUPPORT_FOLDER,
-    drawn_pieces,
+    friction_of,
+    mean_of,
     object_folder,
-    object_image,
-    own_image,
-    visual_name,
+    principal_of,
+    solids_of,
+    surfaces_of,
 )
 
 
@@ -68,56 +68,53 @@ def cameras_record(scene: Scene) -> dict[str, object]:
 
 
 def scene_json(
-    scene: Scene,
-    ending: str = "",
-    more: Mapping[str, Any] | None = None,
-    support: Any = None,
-    file_of: Callable[[ObjectAsset], str] | None = None,
+    scene: Scene, ending: str = "", file_of: Callable[[ObjectAsset], str] | None = None
 ) -> bytes:
     """A scene's file for a loader; paths are relative to the export's folder.
 
     Args:
       ending: of the model file that each object and the support have; "" for none.
-      more: more about each asset, by its name.
-      support: more about the support.
       file_of: where an object's model lies, if not in its folder, called as it.
     """
+    return _bytes(_record(scene, ending, file_of))
 
+
+def _bytes(record: dict[str, Any]) -> bytes:
+    return (json.dumps(record, indent=1) + "\n").encode()
+
+
+def _record(
+    scene: Scene, ending: str = "", file_of: Callable[[ObjectAsset], str] | None = None
+) -> dict[str, Any]:
     def model(asset: ObjectAsset) -> str:
-        return file_of(asset) if file_of else f"{object_folder(asset.name)}/{asset.name}.{ending}"
+        return file_of(asset) if file_of else f"{object_folder(asset)}/{asset.name}.{ending}"
 
     contact = scene.contact
     sliding, torsional, rolling = contact.friction
-    record = {
+    support: dict[str, Any] = {
+        "name": scene.support.name,
+        "top": scene.support.top,
+        "region": asdict(scene.support.region),
+    }
+    assets: dict[str, dict[str, Any]] = {
+        name: {"folder": posixpath.dirname(model(asset))} for name, asset in scene.assets.items()
+    }
+    if ending:
+        support["file"] = f"{SUPPORT_FOLDER}/support.{ending}"
+        for name, asset in scene.assets.items():
+            assets[name]["file"] = model(asset)
+    return {
         "format": 1,
         "conventions": "metres, kilograms, seconds; quaternions wxyz; z up; origin on the floor",
         "timestep": scene.stability.timestep,
         "gravity": [0.0, 0.0, -contact.gravity],
         "friction": {"sliding": sliding, "torsional": torsional, "rolling": rolling},
         "bounds": scene_bounds(scene).tolist(),
-        "support": {
-            "name": scene.support.name,
-            "top": scene.support.top,
-            "region": {
-                "center": list(scene.support.region.center),
-                "half_extents": list(scene.support.region.half_extents),
-                "yaw": scene.support.region.yaw,
-            },
-            **({"file": f"{SUPPORT_FOLDER}/support.{ending}"} if ending else {}),
-            **(support or {}),
-        },
-        "assets": {
-            name: {
-                "folder": posixpath.dirname(model(asset)),
-                **({"file": model(asset)} if ending else {}),
-                **(more or {}).get(name, {}),
-            }
-            for name, asset in scene.assets.items()
-        },
+        "support": support,
+        "assets": assets,
         "objects": objects_record(scene),
         **cameras_record(scene),
     }
-    return (json.dumps(record, indent=1) + "\n").encode()
 
 
 def maniskill_json(scene: Scene) -> bytes:
@@ -126,55 +123,51 @@ def maniskill_json(scene: Scene) -> bytes:
     `env_state` is ManiSkill's state dictionary without the robot: each actor's position, quaternion wxyz,
     linear and angular velocity.
     """
-    bodies = {name: _body(asset, scene.contact) for name, asset in scene.assets.items()}
-    record = json.loads(scene_json(scene, more=bodies, support=_support(scene.support)))
+    record = _record(scene)
+    record["support"] |= _support(scene.support)
+    for name, asset in scene.assets.items():
+        record["assets"][name] |= _body(asset, scene.contact)
     rest = [0.0] * 6
-    actors = {
-        name: [*pose, *rest] for name, pose in zip(scene.names, scene.poses.tolist(), strict=True)
-    }
-    record["env_state"] = {"actors": actors}
-    return (json.dumps(record, indent=1) + "\n").encode()
+    poses = zip(scene.names, scene.poses.tolist(), strict=True)
+    record["env_state"] = {"actors": {name: [*pose, *rest] for name, pose in poses}}
+    return _bytes(record)
 
 
-def _body(asset: ObjectAsset, contact: ContactConfig) -> dict[str, object]:
+def _body(asset: ObjectAsset, contact: ContactConfig) -> dict[str, Any]:
     principal = principal_of(asset)
-    default = contact.friction[0]
-    # What the object's own sliding coefficient has to be in PhysX, if it has one.
-    own = (
-        {}
-        if asset.friction is None
-        else {"friction": mean_of(friction_of(asset, contact)[0], default)}
-    )
-    return {
+    record = {
         "mass": float(asset.mass),
         "center_of_mass": principal.center.tolist(),
         "principal_quaternion_wxyz": principal.turn.tolist(),
         "principal_moments": principal.moments.tolist(),
-        "parts": [part_name(index) for index in range(len(asset.parts))],
-        "visuals": [
-            {"file": visual_name(index), "rgba": list(piece.rgba), "image": object_image(piece)}
-            for index, piece in enumerate(drawn_pieces(asset))
-        ],
-        **own,
+        **_shapes(asset),
     }
+    if asset.friction is not None:
+        # What the object's own sliding coefficient has to be in PhysX.
+        record["friction"] = mean_of(friction_of(asset, contact)[0], contact.friction[0])
+    return record
 
 
-def _support(support: SupportAsset) -> dict[str, object]:
+def _shapes(body: ObjectAsset | SupportAsset) -> dict[str, Any]:
+    """The files of a body, without its boxes."""
     return {
-        "folder": "assets/support",
-        "boxes": [
-            {
-                "center": list(box.center),
-                "quaternion_wxyz": list(yaw_quaternion(box.yaw)),
-                "half_extents": list(box.half_extents),
-                "rgba": list(box.rgba),
-            }
-            for box in support.boxes
-        ],
-        "parts": [part_name(index) for index in range(len(support.parts))],
-        "part_rgba": list(PART_RGBA),
+        "parts": [solid.file for solid in solids_of(body) if solid.file],
+        **({"part_rgba": list(PART_RGBA)} if isinstance(body, SupportAsset) else {}),
         "visuals": [
-            {"file": visual_name(index), "rgba": list(piece.rgba), "image": own_image(piece)}
-            for index, piece in enumerate(support.pieces)
+            {"file": each.file, "rgba": list(each.piece.rgba), "image": each.image}
+            for each in surfaces_of(body)
         ],
     }
+
+
+def _support(support: SupportAsset) -> dict[str, Any]:
+    boxes = [
+        {
+            "center": list(box.center),
+            "quaternion_wxyz": list(yaw_quaternion(box.yaw)),
+            "half_extents": list(box.half_extents),
+            "rgba": list(box.rgba),
+        }
+        for box in support.boxes
+    ]
+    return {"folder": SUPPORT_FOLDER, "boxes": boxes, **_shapes(support)}

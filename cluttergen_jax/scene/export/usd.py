@@ -3,17 +3,24 @@
 Metres, kilograms, z up. An object is a rigid body with a mass; its parts are undrawn meshes whose collider is
 their convex hull, bound to a physics material; and it is a SimReady prop: folder, metadata, labels, picture.
 This needs the optional extra `usd`.
+
+For Isaac Lab-Arena scenes of the same objects are rows of one file of layouts, too, beside the YAML of their
+environment, as its 0.4 reads them (docs: Relations and Strategies, Recorded Layouts): every row has the same
+objects; positions in metres, quaternions xyzw; an object's key is its id in the YAML.
 """
 
 from __future__ import annotations
 
 import datetime
+import hashlib
 import io
+import json
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
+import yaml
 from PIL import Image
 
 from cluttergen_jax.assets.mesh import Mesh
@@ -26,23 +33,30 @@ from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.scene import FixedCamera, Scene
-from cluttergen_jax.scene.export.frames import friction_of, principal_of
-from cluttergen_jax.scene.export.meshes import (
+from cluttergen_jax.scene.export.shapes import (
     SUPPORT_FOLDER,
     category,
-    drawn_pieces,
+    friction_of,
+    identifier,
     identifiers,
-    own_image,
+    principal_of,
+    shows_solids,
     usd_folder,
-    write_support_images,
 )
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.rays import FARTHEST, RaySensor, sensed_model
 
-QCODE = "Q223557"
+_QCODE = "Q223557"
 """Wikidata's item for a physical object: true of everything, and no more is known."""
-MATERIAL = "unknown"
-SIZE = 256
+_MATERIAL = "unknown"
+_SIZE = 256
+_VARIATION = "scene.relation_placement"
+_SUPPORT = "table"
+_ROBOT_DISTANCE = 0.525
+"""Metres from the region's centre to the arm's base, as our own arm stands."""
+_BESIDE = 0.225
+"""Metres from the region's edge to the arm's base, at least."""
+_EPISODE = 10.0
 _LIGHT = np.array([-0.4, -0.5, 0.77])
 _FILL = 0.35
 _VIEW = np.array([-0.6, -1.0, 0.7])
@@ -50,7 +64,7 @@ _VIEW = np.array([-0.6, -1.0, 0.7])
 
 def metadata(asset: ObjectAsset) -> dict[str, object]:
     """The fields of its rules SR.001 and SR.004; metres, kilograms."""
-    vertices = np.concatenate([piece.mesh.vertices for piece in drawn_pieces(asset)])
+    vertices = np.concatenate([piece.mesh.vertices for piece in asset.drawn_pieces])
     origin = asset.provenance
     return {
         "author": origin.attribution or origin.source or "unknown",
@@ -60,7 +74,7 @@ def metadata(asset: ObjectAsset) -> dict[str, object]:
         "category": category(asset),
         "source_file": origin.source or "unknown",
         "usd_date_generated": datetime.datetime.now(datetime.UTC).date().isoformat(),
-        "qcode": QCODE,
+        "qcode": _QCODE,
         "rigid_body_count": 1,
         "asset_extents": np.ptp(vertices, axis=0).tolist(),
         "mass": float(asset.mass),
@@ -73,10 +87,10 @@ def thumbnail(asset: ObjectAsset) -> bytes:
     data = sensor.make_data()
     sensor.pose(data, np.array([[0, 0, 0, 1, 0, 0, 0]]))
     radius = float(
-        np.linalg.norm(np.concatenate([p.mesh.vertices for p in drawn_pieces(asset)]), axis=1).max()
+        np.linalg.norm(np.concatenate([p.mesh.vertices for p in asset.drawn_pieces]), axis=1).max()
     )
     eye = 4 * radius * _VIEW / np.linalg.norm(_VIEW)
-    camera = Camera.looking(eye, np.zeros(3), SIZE, SIZE, 3.6 * SIZE / 2)
+    camera = Camera.looking(eye, np.zeros(3), _SIZE, _SIZE, 3.6 * _SIZE / 2)
     image = sensor.sense(data, camera)
     is_seen = image.geom >= 0
     points = camera.directions * np.where(is_seen, image.depth, FARTHEST)[..., None]
@@ -123,11 +137,9 @@ def write_object_usd(folder: Path, asset: ObjectAsset, contact: ContactConfig) -
     _note(prim, asset.label, asset.provenance)
     _add_metadata(stage, metadata(asset))
     _add_label(prim, "class", category(asset))
-    _add_label(prim, "wikidata_qcode", QCODE)
-    pieces = drawn_pieces(asset)
-    _add_visuals(stage, pieces, [own_image(piece) for piece in pieces], "./textures/")
-    write_images(folder / "textures", asset.textures)
-    picture = folder / ".thumbs" / f"{SIZE}x{SIZE}" / f"{asset.name}.usda.png"
+    _add_label(prim, "wikidata_qcode", _QCODE)
+    _add_visuals(stage, folder, asset.drawn_pieces, "./textures/")
+    picture = folder / ".thumbs" / f"{_SIZE}x{_SIZE}" / f"{asset.name}.usda.png"
     picture.parent.mkdir(parents=True)
     picture.write_bytes(thumbnail(asset))
     material = _add_contact(stage, friction_of(asset, contact)[0], contact)
@@ -140,10 +152,10 @@ def write_support_usd(folder: Path, support: SupportAsset, contact: ContactConfi
     """Writes `support.usda`: static colliders in the world frame, and surfaces where there are any."""
     stage, root = _asset_stage(folder / "support.usda", "support")
     _note(root.GetPrim(), support.label, support.provenance)
-    _add_visuals(stage, support.pieces, [own_image(piece) for piece in support.pieces])
-    write_support_images(folder, support)
+    _add_visuals(stage, folder, support.pieces)
     material = _add_contact(stage, contact.friction[0], contact)
-    parent = _collisions(stage) if support.pieces else f"{_root(stage)}/boxes"
+    is_drawn = shows_solids(support)
+    parent = f"{_root(stage)}/boxes" if is_drawn else _collisions(stage)
     for index, box in enumerate(support.boxes):
         cube = UsdGeom.Cube.Define(stage, f"{parent}/box_{index:02d}")
         cube.CreateSizeAttr(2.0)
@@ -151,13 +163,13 @@ def write_support_usd(folder: Path, support: SupportAsset, contact: ContactConfi
         _place(cube, np.array(box.center), np.array(yaw_quaternion(box.yaw)))
         cube.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*box.half_extents))
         cube.CreateDisplayColorAttr([Gf.Vec3f(*linear(box.rgba)[:3])])
-        if not support.pieces:
+        if is_drawn:
             _bind(cube.GetPrim(), _colour(stage, box.rgba))
         _make_collider(cube.GetPrim(), material, contact)
     for index, part in enumerate(support.parts):
-        _add_part(stage, f"{parent}/part_{index:02d}", part, material, contact)
-        if not support.pieces:
-            _bind(stage.GetPrimAtPath(f"{parent}/part_{index:02d}"), _colour(stage, PART_RGBA))
+        prim = _add_part(stage, f"{parent}/part_{index:02d}", part, material, contact)
+        if is_drawn:
+            _bind(prim, _colour(stage, PART_RGBA))
     stage.GetRootLayer().Save()
 
 
@@ -252,11 +264,11 @@ def _add_label(prim: Any, taxonomy: str, label: str) -> None:
     prim.CreateAttribute(f"semantics:labels:{taxonomy}", kind, custom=False).Set([label])
 
 
-def _add_visuals(
-    stage: Any, pieces: Sequence[Piece], images: Sequence[str | None], folder: str = ""
-) -> None:
-    for index, (piece, name) in enumerate(zip(pieces, images, strict=True)):
-        image = None if name is None else folder + name
+def _add_visuals(stage: Any, folder: Path, pieces: Sequence[Piece], place: str = "") -> None:
+    """Adds surfaces, and writes their images to a place within the folder."""
+    write_images(folder / place, [each.texture for each in pieces if each.texture is not None])
+    for index, piece in enumerate(pieces):
+        image = None if piece.texture is None else place + piece.texture.file_name
         mesh = _add_mesh(stage, f"{_root(stage)}/visuals/piece_{index:02d}", piece.mesh, piece.uv)
         mesh.CreateDisplayColorAttr([Gf.Vec3f(*linear(piece.mean_rgba)[:3])])
         mesh.CreateDisplayOpacityAttr([piece.rgba[3]])
@@ -281,12 +293,13 @@ def _add_mesh(stage: Any, path: str, mesh: Mesh, uv: np.ndarray | None = None) -
     return result
 
 
-def _add_part(stage: Any, path: str, part: Mesh, material: Any, contact: ContactConfig) -> None:
+def _add_part(stage: Any, path: str, part: Mesh, material: Any, contact: ContactConfig) -> Any:
     """A collider that is the convex hull of a part."""
-    mesh = _add_mesh(stage, path, part.hull())
-    UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr("convexHull")
-    mesh.GetPrim().AddAppliedSchema("NewtonMeshCollisionAPI")
-    _make_collider(mesh.GetPrim(), material, contact)
+    prim = _add_mesh(stage, path, part.hull()).GetPrim()
+    UsdPhysics.MeshCollisionAPI.Apply(prim).CreateApproximationAttr("convexHull")
+    prim.AddAppliedSchema("NewtonMeshCollisionAPI")
+    _make_collider(prim, material, contact)
+    return prim
 
 
 def _colour(stage: Any, rgba: tuple[float, ...], image: str | None = None) -> Any:
@@ -299,7 +312,7 @@ def _colour(stage: Any, rgba: tuple[float, ...], image: str | None = None) -> An
         return existing
     UsdGeom.Scope.Define(stage, f"{_root(stage)}/materials")
     material = UsdShade.Material.Define(stage, path)
-    _add_label(material.GetPrim(), "material", MATERIAL)
+    _add_label(material.GetPrim(), "material", _MATERIAL)
     shader = UsdShade.Shader.Define(stage, f"{path}/surface")
     shader.CreateIdAttr("UsdPreviewSurface")
     red, green, blue, alpha = linear(rgba)
@@ -344,7 +357,7 @@ def _bind(prim: Any, material: Any) -> None:
 def _add_contact(stage: Any, sliding: float, contact: ContactConfig) -> Any:
     UsdGeom.Scope.Define(stage, f"{_root(stage)}/materials")
     material = UsdShade.Material.Define(stage, f"{_root(stage)}/materials/contact")
-    _add_label(material.GetPrim(), "material", MATERIAL)
+    _add_label(material.GetPrim(), "material", _MATERIAL)
     physics = UsdPhysics.MaterialAPI.Apply(material.GetPrim())
     physics.CreateStaticFrictionAttr(sliding)
     physics.CreateDynamicFrictionAttr(sliding)
@@ -374,3 +387,79 @@ def _make_collider(prim: Any, material: Any, contact: ContactConfig) -> None:
         prim.CreateAttribute(f"mjc:{name}", kind, False, uniform).Set(value)
     binding = UsdShade.MaterialBindingAPI.Apply(prim)
     binding.Bind(material, UsdShade.Tokens.weakerThanDescendants, "physics")
+
+
+def write_scene_arena(path: Path, scene: Scene) -> None:
+    """Writes the stage of a scene, and its row of a file of layouts."""
+    write_scene_usd(path, scene)
+    _write_layout(path.parents[1], scene)
+
+
+def _write_layout(folder: Path, scene: Scene) -> None:
+    """Adds a scene to `layouts/` of an export: a row in the file of its objects, and their environment."""
+    text = _arena_environment(scene)
+    name = f"{len(scene.names)}-objects-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+    layouts = folder / "layouts"
+    layouts.mkdir(exist_ok=True)
+    (layouts / f"{name}.yaml").write_text(
+        f"env_name: cluttergen_{identifier(name)}\n{text}", encoding="utf-8"
+    )
+    with (layouts / f"{name}.jsonl").open("a", encoding="utf-8") as rows:
+        rows.write(json.dumps(_layout_row(scene)) + "\n")
+
+
+def _arena_environment(scene: Scene) -> str:
+    region = scene.support.region
+    # Beyond the region, however large and turned it is.
+    half = np.abs([np.cos(region.yaw), np.sin(region.yaw)]) @ region.half_extents
+    away = max(_ROBOT_DISTANCE, float(half) + _BESIDE)
+    base = [region.center[0] - away, region.center[1], scene.support.top]
+    ids = identifiers(scene.names)
+    things = sorted(zip(ids, scene.objects, strict=True), key=lambda thing: thing[0])
+    record = {
+        "embodiment": {
+            "id": "robot",
+            "registry_name": "franka_ik",
+            "params": {"initial_pose": {"position_xyz": [float(x) for x in base]}},
+        },
+        "background": {"id": _SUPPORT, "registry_name": "cluttergen_support"},
+        "objects": [
+            {"id": own, "registry_name": _registry_name(asset.name)} for own, asset in things
+        ],
+        "relations": [
+            {"kind": "is_anchor", "subject": _SUPPORT},
+            *({"kind": "on", "subject": own, "reference": _SUPPORT} for own, _ in things),
+        ],
+        "task": {
+            "composition": "atomic",
+            "description": "No task.",
+            "subtasks": [{"kind": "NoTask", "params": {"episode_length_s": _EPISODE}}],
+        },
+    }
+    return yaml.safe_dump(record, sort_keys=False)
+
+
+def _registry_name(name: str) -> str:
+    """An asset's name in Arena's registry; as `cluttergen_arena.py` makes it, distinct for distinct ones."""
+    plain = identifier(f"cluttergen_{name}")
+    is_same = plain == f"cluttergen_{name}"
+    return plain if is_same else f"{plain}_{hashlib.sha256(name.encode()).hexdigest()[:6]}"
+
+
+def _layout_row(scene: Scene) -> dict[str, object]:
+    origin = scene.origin
+    poses = {
+        own: {
+            "position_xyz": pose[:3].tolist(),
+            "rotation_xyzw": [*pose[4:].tolist(), float(pose[3])],
+        }
+        for own, pose in zip(identifiers(scene.names), scene.poses, strict=True)
+    }
+    check = {"passed": origin.is_success, "simulator": "mujoco", "max_drift_m": origin.drift}
+    placement = {
+        "layout_id": f"layout_{origin.index:06d}",
+        "source": "settled",
+        "poses": poses,
+        "validation": {"post_physics": {"cluttergen_final_check": check}},
+    }
+    return {"variations": {_VARIATION: placement}}

@@ -6,7 +6,7 @@ needs; time step, solver and contact parameters are written out, so any MuJoCo s
 Why MJCF is written in four places. Models compiled here come from `assets.mjcf.populated_spec`. MuJoCo's
 own `MjSpec.to_xml` rounds to six digits, enough for an object alone (`assets.mjcf`) and too few for
 a pile that touches; and it would write every mesh once for each copy of an object. So this file is written
-element by element. `scene.export.robosuite` is a dialect: groups, sites and missing joints as robosuite asks.
+element by element. What `MujocoXMLObject` of robosuite reads is a dialect: groups, sites and missing joints.
 """
 
 from __future__ import annotations
@@ -27,15 +27,23 @@ from cluttergen_jax.assets.mjcf import (
     VISUAL_GROUP,
     own_contact,
 )
-from cluttergen_jax.assets.obj import part_name
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.assets.support import PART_RGBA, SupportAsset
+from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.placement.world import unique_names
 from cluttergen_jax.scene.cameras import FixedCamera
+from cluttergen_jax.scene.export.shapes import (
+    CollisionShape,
+    VisualShape,
+    shows_solids,
+    solids_of,
+    surfaces_of,
+)
 
+_ASSETS = "../assets"
+"""The folder `assets`, seen from that of scenes' files."""
 _UNSEEN: dict[str, str] = {
     "contype": "0",
     "conaffinity": "0",
@@ -53,6 +61,9 @@ _GRAVITY = 9.81
 
 _ARMATURE = 0.01
 _DAMPING = 1.0
+# robosuite's geom groups.
+_COLLIDES = "0"
+_DRAWN = "1"
 
 
 def scene_xml(
@@ -61,7 +72,6 @@ def scene_xml(
     support: SupportAsset,
     stability: StabilityConfig,
     contact: ContactConfig,
-    assets_path: str = "../assets",
     names: Sequence[str] | None = None,
     cameras: Sequence[FixedCamera] = (),
     names_detector: bool = True,
@@ -72,7 +82,6 @@ def scene_xml(
     Args:
       objects: N assets in the order of placement.
       poses: f32[N, 7], world, metres, wxyz.
-      assets_path: the bank's `assets` folder, relative to where the text will be saved.
       names: of the bodies, unique; None makes them from the assets' names.
       cameras: around the support.
       names_detector: where the scene was checked with both of MuJoCo's detectors, the file chooses libccd by
@@ -81,13 +90,13 @@ def scene_xml(
         before those of the objects in the keyframe.
     """
     root = ET.Element("mujoco", model="cluttergen scene")
-    compiler = ET.SubElement(root, "compiler", angle="radian", meshdir=assets_path)
+    compiler = ET.SubElement(root, "compiler", angle="radian", meshdir=_ASSETS)
     if any(
         piece.texture
         for pieces in (support.pieces, *(o.pieces for o in objects))
         for piece in pieces
     ):
-        compiler.set("texturedir", assets_path)
+        compiler.set("texturedir", _ASSETS)
     _add_options(root, stability, contact, names_detector and stability.both_detectors)
     _add_visual(root)
     assets = ET.SubElement(root, "asset")
@@ -116,7 +125,7 @@ def object_xml(asset: ObjectAsset, contact: ContactConfig, images: str) -> bytes
     """MJCF text of one free object, to be saved in the folder of its meshes; `images` leads to its images."""
     root = ET.Element("mujoco", model=asset.name)
     ET.SubElement(root, "compiler", angle="radian")
-    ET.SubElement(ET.SubElement(root, "default"), "geom", contact_attributes(contact))
+    ET.SubElement(ET.SubElement(root, "default"), "geom", _contact_attributes(contact))
     assets = ET.SubElement(root, "asset")
     world = ET.SubElement(root, "worldbody")
     _add_meshes(assets, asset, "")
@@ -147,11 +156,11 @@ def _add_options(
     if takes_libccd:
         flag.set("nativeccd", "disable")
     # Newton sees 10 cm ahead where no gap is stated, and the older detector errs by as much.
-    touch = contact_attributes(contact, stability.file_margin) | {"gap": "0"}
+    touch = _contact_attributes(contact, stability.file_margin) | {"gap": "0"}
     ET.SubElement(ET.SubElement(root, "default"), "geom", touch)
 
 
-def weightless(piece: Piece) -> dict[str, str]:
+def _weightless(piece: Piece) -> dict[str, str]:
     """What the mesh of a drawn surface says of its own mass, which counts nowhere: bodies state theirs.
 
     Nothing if it can be: before 3.3 MuJoCo refuses the word, since then without it a surface that is flat.
@@ -159,7 +168,7 @@ def weightless(piece: Piece) -> dict[str, str]:
     return {"inertia": "shell"} if piece.is_flat else {}
 
 
-def contact_attributes(contact: ContactConfig, margin: float = 0.0) -> dict[str, str]:
+def _contact_attributes(contact: ContactConfig, margin: float = 0.0) -> dict[str, str]:
     """A geom's attributes in MJCF that say how it touches."""
     return {
         **({"margin": _text([margin])} if margin else {}),
@@ -170,7 +179,7 @@ def contact_attributes(contact: ContactConfig, margin: float = 0.0) -> dict[str,
     }
 
 
-def own_contact_attributes(asset: ObjectAsset, contact: ContactConfig) -> dict[str, str]:
+def _own_contact_attributes(asset: ObjectAsset, contact: ContactConfig) -> dict[str, str]:
     """What replaces or joins them where an object has a friction of its own."""
     if asset.friction is None:
         return {}
@@ -295,42 +304,50 @@ class _SupportBodies:
 
 
 def _add_support(assets: ET._Element, bodies: _SupportBodies, support: SupportAsset) -> None:
-    for index, box in enumerate(support.boxes):
-        ET.SubElement(
-            bodies.of("boxes", index),
-            "geom",
-            name=f"support.box-{index}",
-            type="box",
-            pos=_text(box.center),
-            quat=_text(yaw_quaternion(box.yaw)),
-            size=_text(box.half_extents),
-            rgba=_text(box.rgba),
-            group=str(COLLISION_GROUP if support.pieces else VISUAL_GROUP),
-        )
-    for index in range(len(support.parts)):
-        name = f"support.part-{index}"
-        group = COLLISION_GROUP if support.pieces else VISUAL_GROUP
-        ET.SubElement(assets, "mesh", name=name, file=f"support/{part_name(index)}")
-        body = bodies.of("parts", index)
-        ET.SubElement(
-            body, "geom", name=name, type="mesh", mesh=name, rgba=_text(PART_RGBA), group=str(group)
-        )
-    for index, piece in enumerate(support.pieces):
-        mesh = f"support.visual-{index}"
-        file = f"support/visual-{index}.obj"
-        ET.SubElement(assets, "mesh", weightless(piece), name=mesh, file=file)
-        _add_visual_geom(assets, bodies.of("pieces", index), mesh, piece, "support/")
+    group = str(VISUAL_GROUP if shows_solids(support) else COLLISION_GROUP)
+    for number, solid in enumerate(solids_of(support)):
+        name = f"support.{solid.name}"
+        if solid.box is not None:
+            body = bodies.of("boxes", number)
+        else:
+            body = bodies.of("parts", number - len(support.boxes))
+            ET.SubElement(assets, "mesh", name=name, file=f"support/{solid.file}")
+        shown = {"rgba": _text(solid.rgba), "group": group}
+        ET.SubElement(body, "geom", {"name": name} | _shape(solid, name) | shown)
+    for index, surface in enumerate(surfaces_of(support)):
+        mesh = f"support.{surface.name}"
+        file = f"support/{surface.file}"
+        ET.SubElement(assets, "mesh", _weightless(surface.piece), name=mesh, file=file)
+        _add_visual_geom(assets, bodies.of("pieces", index), mesh, surface.piece, "support/")
+
+
+def _shape(solid: CollisionShape, mesh: str) -> dict[str, str]:
+    """Attributes of a geom that say its form, and where it is."""
+    if (box := solid.box) is None:
+        return {"type": "mesh", "mesh": mesh}
+    place = {"pos": _text(box.center), "quat": _text(yaw_quaternion(box.yaw))}
+    return {"type": "box"} | place | {"size": _text(box.half_extents)}
 
 
 def _add_meshes(assets: ET._Element, asset: ObjectAsset, folder: str) -> None:
-    for index in range(len(asset.parts)):
-        file = folder + part_name(index)
-        ET.SubElement(assets, "mesh", name=f"{asset.name}.part-{index}", file=file)
+    for solid in solids_of(asset):
+        name = f"{asset.name}.{solid.name}"
+        ET.SubElement(assets, "mesh", name=name, file=folder + solid.file)
     for index, piece in enumerate(asset.pieces):
+        name = f"{asset.name}.visual-{index}"
         file = f"{folder}visual-{index}.obj"
-        ET.SubElement(
-            assets, "mesh", weightless(piece), name=f"{asset.name}.visual-{index}", file=file
-        )
+        ET.SubElement(assets, "mesh", _weightless(piece), name=name, file=file)
+
+
+def _add_inertial(body: ET._Element, asset: ObjectAsset) -> None:
+    inertia = np.asarray(asset.inertia)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    ET.SubElement(
+        body,
+        "inertial",
+        pos=_text(asset.center_of_mass),
+        mass=_text([asset.mass]),
+        fullinertia=_text(inertia),
+    )
 
 
 def _add_body(
@@ -344,24 +361,11 @@ def _add_body(
 ) -> None:
     body = ET.SubElement(world, "body", name=name, pos=_text(pose[:3]), quat=_text(pose[3:]))
     ET.SubElement(body, "freejoint", name=name)
-    inertia = np.asarray(asset.inertia)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    ET.SubElement(
-        body,
-        "inertial",
-        pos=_text(asset.center_of_mass),
-        mass=_text([asset.mass]),
-        fullinertia=_text(inertia),
-    )
-    own = own_contact_attributes(asset, contact)
-    for index in range(len(asset.parts)):
-        ET.SubElement(
-            body,
-            "geom",
-            own,
-            type="mesh",
-            mesh=f"{asset.name}.part-{index}",
-            group=str(COLLISION_GROUP),
-        )
+    _add_inertial(body, asset)
+    own = _own_contact_attributes(asset, contact)
+    for solid in solids_of(asset):
+        shape = own | _shape(solid, f"{asset.name}.{solid.name}")
+        ET.SubElement(body, "geom", shape, group=str(COLLISION_GROUP))
     for index, piece in enumerate(asset.pieces):
         _add_visual_geom(assets, body, f"{asset.name}.visual-{index}", piece, images)
 
@@ -379,3 +383,66 @@ def _add_visual_geom(
         ET.SubElement(assets, "texture", name=name, type="2d", file=file)
         shine = {"specular": str(SPECULAR), "shininess": str(SHININESS)}
         ET.SubElement(assets, "material", shine, name=name, texture=name)
+
+
+def robosuite_xml(
+    body: ObjectAsset | SupportAsset, contact: ContactConfig, region: bool = False
+) -> bytes:
+    """A free object, to which robosuite adds the joint; or the support, fixed, in the world frame.
+
+    Args:
+      region: add the box `reg_bbox`, by which RoboCasa knows an object's size.
+    """
+    is_object = isinstance(body, ObjectAsset)
+    root = ET.Element("mujoco", model=body.name if is_object else "support")
+    assets = ET.SubElement(root, "asset")
+    shell = ET.SubElement(ET.SubElement(root, "worldbody"), "body")
+    inner = ET.SubElement(shell, "body", name="object")
+    touch = _contact_attributes(contact)
+    bottom = 0.0
+    if isinstance(body, ObjectAsset):
+        _add_inertial(inner, body)
+        touch |= _own_contact_attributes(body, contact)
+        reach = body.half_extents
+        bottom = -reach[2]
+    else:
+        reach = np.array([*body.region.half_extents, body.top])
+    for solid in solids_of(body):
+        if solid.box is None:
+            ET.SubElement(assets, "mesh", name=solid.name, file=solid.file)
+        shape = _shape(solid, solid.name)
+        ET.SubElement(inner, "geom", shape | touch, group=_COLLIDES, rgba="0 0 0 0")
+        if shows_solids(body):
+            ET.SubElement(inner, "geom", shape | _drawn(solid.rgba))
+    for surface in surfaces_of(body):
+        _add_surface(assets, inner, surface)
+    if region:
+        box = {"type": "box", "pos": "0 0 0", "size": _text(reach)}
+        ET.SubElement(inner, "geom", _drawn((0.0, 0.0, 0.0, 0.0)) | box, name="reg_bbox")
+    # The three sites by which robosuite knows an object's size.
+    sites = {
+        "bottom_site": [0, 0, bottom],
+        "top_site": [0, 0, reach[2]],
+        "horizontal_radius_site": [reach[0], reach[1], 0],
+    }
+    for name, position in sites.items():
+        ET.SubElement(shell, "site", name=name, pos=_text(position), size="0.005", rgba="0 0 0 0")
+    ET.indent(root)
+    return ET.tostring(root, encoding="utf-8") + b"\n"
+
+
+def _drawn(rgba: tuple[float, ...]) -> dict[str, str]:
+    """Attributes of a geom of robosuite's that is drawn, touches nothing and weighs nothing."""
+    return _UNSEEN | {"group": _DRAWN, "rgba": _text(rgba)}
+
+
+def _add_surface(assets: ET._Element, body: ET._Element, surface: VisualShape) -> None:
+    name = surface.name
+    ET.SubElement(assets, "mesh", _weightless(surface.piece), name=name, file=surface.file)
+    geom = ET.SubElement(body, "geom", _drawn(surface.piece.rgba), type="mesh", mesh=name)
+    if surface.image is not None:
+        texture = name.replace("visual", "image")
+        shine = {"specular": str(SPECULAR), "shininess": str(SHININESS)}
+        ET.SubElement(assets, "texture", name=texture, type="2d", file=surface.image)
+        ET.SubElement(assets, "material", shine, name=name, texture=texture)
+        geom.set("material", name)
