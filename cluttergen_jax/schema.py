@@ -292,9 +292,9 @@ def with_checksum(record: Mapping[str, Any], allow_nan: bool = False) -> Record:
     return {**plain, CHECKSUM: _digest(plain)}
 
 
-def record_bytes(record: Mapping[str, Any]) -> bytes:
+def record_bytes(record: Mapping[str, Any], allow_nan: bool = False) -> bytes:
     """The file of a record, with its checksum; `checked_record` reads it."""
-    return (json.dumps(with_checksum(record), indent=1) + "\n").encode()
+    return (json.dumps(with_checksum(record, allow_nan), indent=1) + "\n").encode()
 
 
 def checked_record(data: bytes, allow_nan: bool = False) -> Record:

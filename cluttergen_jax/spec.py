@@ -403,8 +403,8 @@ class SceneSpec(PlacementRequest):
             raise ConfigError(given, f"with {' or '.join(known)}", f"method={known[0]!r}")
         if not entry.is_whole:
             return
-        others = ("keep_out", "start", "ruin_after", "min_margin", "robust", "for_engine")
-        is_asked = {name: bool(getattr(self, name)) for name in others}
+        needing_steps = ("keep_out", "start", "ruin_after", "min_margin", "robust", "for_engine")
+        is_asked = {name: bool(getattr(self, name)) for name in needing_steps}
         region = self.region if isinstance(self.region, str) else ""
         is_asked["region"] = region == "outline" or ";" in region
         is_asked["surface"] = self.surface == "all" or bool({*",:"} & {*self.surface})
