@@ -241,7 +241,8 @@ def _record(asset: ObjectAsset, contents: dict[str, bytes]) -> dict[str, Any]:
         flags=asset.flags,
         files={name: digest_of(data) for name, data in contents.items()},
     )
-    record = {**msgspec.to_builtins(stored), "provenance": asset.provenance.record()}
+    plain = msgspec.to_builtins(stored, enc_hook=np.generic.item)
+    record = {**plain, "provenance": asset.provenance.record()}
     if asset.scale == 1:
         # msgspec leaves out a default of this class itself, not any number equal to it.
         record.pop("scale", None)

@@ -290,10 +290,11 @@ class SampleSet:
         if name not in SPLITS:
             raise ConfigError(f"split = {name!r}", ", ".join(SPLITS), meant=closest(name, SPLITS))
         if name not in splits:
+            making = f"{form.command} --split {name} --out {self.path}"
             raise ConfigError(
                 f"{self.path} holds no {form.kind} of the split {name!r}",
                 f"{', '.join(splits) or 'none'} in that folder",
-                f"{form.command} --split {name} --out {self.path}",
+                making,
             )
         return splits[name]
 

@@ -201,7 +201,7 @@ def robot_place(
     check_range("seed", seed, 0, _MOST_SEED, 0)
     check_choice("task", task, RobotTask)
     looking = _looking(placer)
-    factor = _factor(noise, task == "place" and looking is not None)
+    factor = _factor(noise, task, looking is not None)
     described = find_robot(robot)
     recorded = RecordAsked.of(record, record_format, record_cameras)
     if films:
@@ -285,7 +285,7 @@ def _looking(placer: str | Path | Placer | PlainPlacer) -> Placer | PlainPlacer 
     return None if isinstance(found, FullState) else found
 
 
-def _factor(noise: float | None, is_looking: bool) -> float:
+def _factor(noise: float | None, task: str, is_looking: bool) -> float:
     """So many times the usual noise.
 
     Raises:
@@ -293,11 +293,15 @@ def _factor(noise: float | None, is_looking: bool) -> float:
     """
     if noise is None:
         return 1.0
+    if task != "place":
+        raise ConfigError(
+            f"noise = {noise!r} with task = {task!r}",
+            "place, and a placer that looks",
+            "task='place'",
+        )
     if not is_looking:
         raise ConfigError(
-            f"noise = {noise!r} where nothing looks",
-            "task='place' and a placer that looks",
-            "placer='scored'",
+            f"noise = {noise!r} where nothing looks", "a placer that looks", "placer='scored'"
         )
     check_factor(noise)
     return float(noise)
