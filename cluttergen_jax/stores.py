@@ -75,11 +75,15 @@ class BlockStore:
         return hold(self.folder(path).lock())
 
     def read_record(self, path: Path) -> Record:
-        """The record of a folder (BankError: there is none, it is damaged, or of another kind)."""
+        """The record of a folder, without what kind it is of.
+
+        Raises:
+          BankError: there is none, it is damaged, or of another kind.
+        """
         file = path / self.index
         try:
             record = checked_record(file.read_bytes())
-            if (record.get("kind"), record.get("format")) != (self.kind, FORMAT):
+            if (record.pop("kind", None), record.pop("format", None)) != (self.kind, FORMAT):
                 raise SchemaError(f"not the record of {self.kind} of format {FORMAT}")
         except (FileNotFoundError, NotADirectoryError) as error:
             raise BankError(
