@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
@@ -123,23 +124,36 @@ class RowStore(Generic[Row]):
       recipe: what makes rows comparable; those of another recipe are not taken up again.
       kind: the data class of a row; numbers that are not finite are kept as null.
       command: that writes such files, for messages.
+      added: names of the recipe that published rows do not have. Such rows are shown, not continued: with
+        what they were made is not known.
     """
 
     def __init__(
-        self, path: Path | None, recipe: Mapping[str, object], kind: type[Row], command: str
+        self,
+        path: Path | None,
+        recipe: Mapping[str, object],
+        kind: type[Row],
+        command: str,
+        added: Sequence[str] = (),
     ) -> None:
         self._path = path
         self._kind = kind
         self._command = command
+        self._added = added
         self._recipe = json.loads(json.dumps(recipe))
 
     def read(self, number: int) -> list[Row]:
-        """The rows that are kept, `number` at most (BankError: they are damaged, or of another recipe)."""
+        """The rows that are kept, `number` at most.
+
+        Raises:
+          BankError: they are damaged or of another recipe, or there are fewer and they cannot be continued.
+        """
         if self._path is None or not self._path.is_file():
             return []
         try:
             first, _, text = self._path.read_bytes().partition(b"\n")
             known = checked_record(first)
+            unstated = {*self._recipe, GRASPS}.difference(known)
             grasps = convert(known.pop(GRASPS, {}), dict[str, str])
             if known.pop(_ROWS, digest_of(text)) != digest_of(text):
                 raise SchemaError("its rows do not match their checksum")
@@ -150,10 +164,25 @@ class RowStore(Generic[Row]):
                 f"a file of `{self._command}`",
                 "another `out`, or removing that file",
             ) from error
-        check_recipe(self._path, "rows made", self._recipe, known)
+        lacking = [name for name in self._added if name in unstated]
+        ours = {name: value for name, value in self._recipe.items() if name not in lacking}
+        check_recipe(self._path, "rows made", ours, known)
+        if lacking:
+            self._show(lacking, len(rows) < number)
         if grasps:
             self._recipe[GRASPS] = grasps
         return rows[:number]
+
+    def _show(self, lacking: Sequence[str], is_continued: bool) -> None:
+        """Says what is not known of rows (BankError: more are asked for)."""
+        told = f"rows that do not say with which {', '.join(lacking)} they were made"
+        if is_continued:
+            raise BankError(
+                f"{self._path} holds {told}",
+                "as many as it holds, which shows them",
+                "another `out`",
+            )
+        print(f"note: {self._path} holds {told}: shown as they are", file=sys.stderr)
 
     def note_grasps(self, found: Mapping[str, str]) -> None:
         """Adds the digests of objects' grasps to the recipe (BankError: the rows were made with others)."""

@@ -1,5 +1,6 @@
 """Rearrangement by the arm: two boxes that change places; only what the observer tells guides it."""
 
+import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -31,6 +32,8 @@ from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.robot.trials import EPISODES
 from cluttergen_jax.errors import BankError
 from tests.helpers.arm import PLACES, SCENE, standing, task_of
+
+ROOT = Path(__file__).parents[2]
 
 
 def test_two_boxes_change_places_by_way_of_a_third_and_the_truth_is_read_by_two_alone(monkeypatch):
@@ -221,3 +224,17 @@ def test_interrupted_trials_go_on_and_rows_of_other_settings_are_refused(made_ro
     (tmp_path / EPISODES).write_text("{}\n[1, 2")
     with pytest.raises(BankError, match="damaged"):
         run(SETTINGS["paper"], RearrangeOptions(), 4, 0, tmp_path)
+
+
+def test_published_rows_are_shown_and_not_continued(made_rows, tmp_path, capsys, monkeypatch):
+    published = ROOT / "reports/results/episodes/rearrange-30-true/paper" / EPISODES
+    (tmp_path / EPISODES).write_bytes(published.read_bytes())
+    recipe, *rows = published.read_text().splitlines()
+    number = len(rows)
+    monkeypatch.setattr(rearrange_trials, "versions", lambda: json.loads(recipe)["versions"])
+    shown = run_rearrangements(SETTINGS["paper"], RearrangeOptions(), number, 30, tmp_path)
+    assert len(shown.rows) == number
+    assert not made_rows
+    assert "shown as they are" in capsys.readouterr().err
+    with pytest.raises(BankError, match="as many as it holds"):
+        run_rearrangements(SETTINGS["paper"], RearrangeOptions(), number + 1, 30, tmp_path)

@@ -48,6 +48,9 @@ from cluttergen_jax.statistics import share_of
 from cluttergen_jax.stores import RowStore
 from cluttergen_jax.tables import aligned_table
 
+_ADDED = ("grasps", "objects", "planner", "registration", "robot")
+"""Of recipes: what the published rows (reports/results/episodes) lack."""
+
 
 @dataclass(frozen=True, eq=False)
 class Rearrangements(Endings):
@@ -168,7 +171,8 @@ def run_rearrangements(
     recipe["planner"] = planner_recipe(rearrange_hash(), planner)
     if ask is not None:
         recipe["choose"] = "person"
-    file = RowStore(None if out is None else out / EPISODES, recipe, RearrangeResult, "rearrange")
+    path = None if out is None else out / EPISODES
+    file = RowStore(path, recipe, RearrangeResult, "rearrange", _ADDED)
     rows = file.read(number)
     # Where nothing is left to be done it is not made.
     starts = cache(lambda: Starts(setting, pool, num_threads, own_grasps, planner, own, robot))

@@ -44,6 +44,8 @@ from cluttergen_jax.stores import RowStore
 from cluttergen_jax.tables import aligned_table
 
 EPISODES = "episodes.jsonl"
+_ADDED = ("grasps", "planner", "robot", "versions", "weights")
+"""Of recipes: what the published rows (reports/results/episodes) lack."""
 _UPRIGHT = math.cos(math.radians(3.0))
 Places = Callable[[int, Scene], np.ndarray]
 """Where the last object of a scene may stand: f64[M, 7], T_world_object, best first."""
@@ -169,7 +171,8 @@ def run_trials(
         "planner": planner_recipe(planner_hash(), planner),
         "versions": versions(),
     }
-    file = RowStore(None if out is None else out / EPISODES, recipe, EpisodeResult, "robot place")
+    path = None if out is None else out / EPISODES
+    file = RowStore(path, recipe, EpisodeResult, "robot place", _ADDED)
     rows = file.read(number)
     # A bank that has grown has scenes of their own for episodes which took the first ones again.
     numbers = [-1 if each.origin is None else each.origin.index for each in scenes]
