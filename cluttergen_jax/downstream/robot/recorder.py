@@ -406,7 +406,7 @@ class RobomimicFolder(RecordFolder):
 
 
 @dataclass(eq=False)
-class EpisodeRecorder:
+class DemonstrationRecorder:
     """Records every episode once, as it is run, and those of which there are only rows by running them again.
 
     Args:
@@ -486,7 +486,7 @@ class RecordAsked:
 
 def open_recorder(
     asked: RecordAsked, recipe: Mapping[str, Any], seed: int, task: Callable[[Any], str]
-) -> EpisodeRecorder:
+) -> DemonstrationRecorder:
     """A recorder into a folder, which may hold recordings of the same recipe.
 
     Raises:
@@ -502,4 +502,4 @@ def open_recorder(
         "episodes": dict(recipe),
     }
     kind = LeRobotFolder if asked.form == "lerobot" else RobomimicFolder
-    return EpisodeRecorder(kind(asked.folder, cameras, told), cameras, seed, task)
+    return DemonstrationRecorder(kind(asked.folder, cameras, told), cameras, seed, task)

@@ -32,7 +32,11 @@ from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.outcome import Endings, Outcome, causes_of, success_of
 from cluttergen_jax.downstream.robot.places import CameraPlacer
 from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
-from cluttergen_jax.downstream.robot.recorder import EpisodeRecorder, RecordAsked, open_recorder
+from cluttergen_jax.downstream.robot.recorder import (
+    DemonstrationRecorder,
+    RecordAsked,
+    open_recorder,
+)
 from cluttergen_jax.downstream.words import RobotTask
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.evaluation import versions
@@ -218,7 +222,7 @@ def make_episodes(
     note: Callable[[list[Any]], str],
     out: Path | None,
     films: FilmFormat | None,
-    recorder: EpisodeRecorder | None,
+    recorder: DemonstrationRecorder | None,
     again: Callable[[int, Trace], Any] | None = None,
 ) -> None:
     """Makes the rows that are missing, and records and films what is asked for.
