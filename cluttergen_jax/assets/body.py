@@ -226,7 +226,7 @@ def _usual_turn(
 def _stays(solid: Solid, mass: MassProperties, turn: np.ndarray) -> bool:
     """Whether the object's hull stays in plain MuJoCo as it is set down after a turn, to `MAX_TILT`."""
     hull = finish_parts([solid.mesh.vertices @ turn.T], MAX_BASE_CORNERS)
-    return tilt_of(_settled(hull, mass.transform(turn))) <= MAX_TILT
+    return tilt_of(_settling_turn(hull, mass.transform(turn))) <= MAX_TILT
 
 
 def _proposals(shape: Shape, solid: Solid, config: BodyConfig) -> Iterator[list[np.ndarray]]:
@@ -283,24 +283,24 @@ def _at_rest(
     to its lean; only if it topples is the bottom of the authored pose tried.
     """
 
-    def finished(rotation: np.ndarray) -> list[np.ndarray]:
+    def finish(rotation: np.ndarray) -> list[np.ndarray]:
         turned = [points @ rotation.T for points in raw]
         return finish_parts(turned, corners, foot_loss=foot_loss)
 
-    rotation = _settled(finish_parts(raw, None), mass)
+    rotation = _settling_turn(finish_parts(raw, None), mass)
     if tilt_of(rotation) > MAX_TILT:
-        kept = _settled(finish_parts(raw, corners, foot_loss=foot_loss), mass)
+        kept = _settling_turn(finish_parts(raw, corners, foot_loss=foot_loss), mass)
         rotation = kept if tilt_of(kept) < tilt_of(rotation) else rotation
     for _ in range(4):
-        parts = finished(rotation)
-        more = _settled(parts, mass.transform(rotation))
+        parts = finish(rotation)
+        more = _settling_turn(parts, mass.transform(rotation))
         if tilt_of(more) < _FLAT:
             return parts, rotation
         rotation = more @ rotation
-    return finished(rotation), rotation
+    return finish(rotation), rotation
 
 
-def _settled(parts: list[np.ndarray], mass: MassProperties) -> np.ndarray:
+def _settling_turn(parts: list[np.ndarray], mass: MassProperties) -> np.ndarray:
     """f64[3, 3]: the turn by which a body of these parts tilts when it is set down."""
     return settled_turn(_draft(parts, mass))
 

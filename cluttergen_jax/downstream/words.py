@@ -18,13 +18,9 @@ LayoutRule = Literal["clearance", "reach", "similar"]
 PickOrder = Literal["graph", "lowest"]
 RobotObserver = Literal["true", "perception"]
 RecordFormat = Literal["lerobot", "robomimic"]
-SegmenterInput = Literal["colour", "depth"]
 
-# Of a split of a data set: what a larger number means is a slip of the hand.
-MAX_VIEWS = 1_000_000
 MAX_PAIRS = 10_000_000
-MOST_KNOWN = 200
-"""Objects of a pool that a segmenter knows, at most."""
+"""Of a split of a data set: a larger number is a slip of the hand."""
 
 MAX_NOISE = 10.0
 """Times the noise of a usual depth camera."""

@@ -196,16 +196,16 @@ class Trial:
         words += [str(spec.clutter)] if spec.clutter is not None else []
         words += [str(spec.stability)] if spec.stability else []
         words += [f"{spec.poses} poses"] if spec.poses != "upright" else []
-        return words + self._told(_RULES)
+        return words + self._tell(_RULES)
 
     @property
     def asked(self) -> list[str]:
         """What is placed where, beside pool and support: each field that is given, with its value."""
-        return self._told((*_PLACE, "region"))
+        return self._tell((*_PLACE, "region"))
 
-    def _told(self, names: tuple[str, ...]) -> list[str]:
+    def _tell(self, names: tuple[str, ...]) -> list[str]:
         given = self.spec.overrides()
-        return [_told(name, given[name]) for name in names if name in given]  # type: ignore[literal-required]
+        return [_text_of(name, given[name]) for name in names if name in given]  # type: ignore[literal-required]
 
     @property
     def title(self) -> str:
@@ -216,7 +216,7 @@ class Trial:
         words += [self.change] if self.change != "none" else []
         words += [f"margin {1000 * spec.min_margin:g} mm"] if spec.min_margin else []
         words += self._extra_rules
-        words += self._told(_PLACE)
+        words += self._tell(_PLACE)
         words += [spec.order] if spec.order and spec.order != "random" else []
         words += [f"ruin after {spec.ruin_after}"] if spec.ruin_after else []
         words += [f"budget {spec.budget}"] if spec.budget else []
@@ -247,7 +247,7 @@ def _plain_region(region: Rectangle | str | None) -> Any:
     return None if region is None else _plain_box(region)
 
 
-def _told(name: str, value: Any) -> str:
+def _text_of(name: str, value: Any) -> str:
     """A field and its value in a row's name; of a long value the beginning."""
     words = name.replace("_", " ").removesuffix(" engine")
     if value is True:

@@ -49,16 +49,24 @@ _SETTINGS = {"OMP_NUM_THREADS": "1", "JAX_PLATFORMS": "cpu"}
 
 @dataclass
 class Outcome:
-    """What became of a job."""
+    """What became of a job.
 
-    result: Any = None  # What the function returned; None if there is none.
-    fault: str = ""  # Why there is none; empty if there is one.
-    seconds: float = 0.0  # What it cost, all tries together, without the start of a process.
-    cpu_seconds: float = (
-        0.0  # Of a try that was lost: its limit, or the seconds that passed if fewer.
-    )
-    is_late: bool = False  # Whether it was ended for its time.
-    is_killed: bool = False  # Whether something outside has killed its worker.
+    Attributes:
+      result: what the function returned; None if there is none.
+      fault: why there is none; empty if there is one.
+      seconds: what it cost, all tries together, without the start of a process.
+      cpu_seconds: likewise, of a processor; of a try that was lost its limit, or the seconds that passed if
+        those are fewer.
+      is_late: it was ended for its time.
+      is_killed: something outside has killed its worker.
+    """
+
+    result: Any = None
+    fault: str = ""
+    seconds: float = 0.0
+    cpu_seconds: float = 0.0
+    is_late: bool = False
+    is_killed: bool = False
 
 
 Again = Callable[[Any, str], Any]

@@ -309,7 +309,7 @@ def _several(
         if each.thickness < _SHEET or not _is_flat(bare, surface, each):
             covers.append((surface, _plates(each)))
     for surface, _ in covers:
-        solids = [kept for points in solids if (kept := _lowered(points, surface)) is not None]
+        solids = [kept for points in solids if (kept := _lower(points, surface)) is not None]
     plates = [points for _, group in covers for points in group]
     solids = [points for points in solids if not any(is_inside(points, plate) for plate in plates)]
     whole = join_meshes([piece.mesh for piece in pieces])
@@ -391,7 +391,7 @@ def _plates(found: FoundSurface) -> list[np.ndarray]:
     return [points @ T[:3, :3].T + T[:3, 3] for points in boards]
 
 
-def _lowered(points: np.ndarray, surface: Surface) -> np.ndarray | None:
+def _lower(points: np.ndarray, surface: Surface) -> np.ndarray | None:
     """A convex part that ends about a covered surface, cut a millimetre below it; others as they are."""
     local = surface.local(points)
     end = float(local[:, 2].max())

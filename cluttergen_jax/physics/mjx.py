@@ -276,7 +276,7 @@ _LEAST_CONTACTS = 32
 
 
 def room_for(layout: Layout, num_scenes: int = 8, num_steps: int = 60) -> tuple[int, int]:
-    """ContactRows and constraint rows that one scene may need at most, with a margin of two.
+    """Contacts and constraint rows that one scene may need at most, with a margin of two.
 
     All objects are dropped at once, close together, and the most that MuJoCo ever counts is taken.
     """

@@ -135,7 +135,7 @@ class Simulations:
         )
 
     @contextmanager
-    def _changed(self, values: dict[str, Any]) -> Iterator[None]:
+    def _change(self, values: dict[str, Any]) -> Iterator[None]:
         """Inside, fields of all simulations have these values; after it those of the model again."""
         for name, value in values.items():
             self._batch.expand(name)[:] = value
@@ -154,7 +154,7 @@ class Simulations:
           drag, turning_drag: 1/s, by which speeds and angular speeds decay.
         """
         model = self._batch.model
-        return self._changed(
+        return self._change(
             {
                 "geom_friction": friction * model.geom_friction,
                 "dof_damping": damping_of(model, drag, turning_drag),
@@ -165,7 +165,7 @@ class Simulations:
     def loosen_contacts(self, friction: float) -> AbstractContextManager[None]:
         """Inside, friction is `friction` times as much, contacts are as soft as MuJoCo's default."""
         model = self._batch.model
-        return self._changed(
+        return self._change(
             {
                 "geom_friction": friction * model.geom_friction,
                 "geom_solref": SOFT_SOLREF,

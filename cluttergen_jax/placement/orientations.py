@@ -51,7 +51,7 @@ def make_orientations(
       cut: makes columns.
     """
     engine = cast(BatchEngine, make_physics(layout, replace(stability, robust_tilt=0.0), "native"))
-    lying = _verified([_recorded(asset) for asset in objects], objects, layout, engine)
+    lying = _stable_poses([_resting_poses(asset) for asset in objects], objects, layout, engine)
     engine.free()
     number = MAX_RESTING
     if kind == "any":
@@ -63,7 +63,7 @@ def make_orientations(
         [_Body.of(asset, pose, cut) for pose in poses]
         for asset, poses in zip(objects, lying, strict=True)
     ]
-    return _stacked(bodies, number)
+    return _stack(bodies, number)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,20 +84,20 @@ class _Pose:
         return self.matrix[2]
 
 
-def _recorded(asset: ObjectAsset) -> list[_Pose]:
+def _resting_poses(asset: ObjectAsset) -> list[_Pose]:
     """An object's resting poses as its file has them."""
     upright, *others = asset.resting
     kept = [upright, *sorted(others, key=lambda pose: -pose.likelihood)[: MAX_RESTING - 1]]
     return [_Pose(np.array(pose.quaternion), max(pose.likelihood, _LEAST_WEIGHT)) for pose in kept]
 
 
-def _verified(
+def _stable_poses(
     recorded: list[list[_Pose]], objects: Sequence[ObjectAsset], layout: Layout, engine: BatchEngine
 ) -> list[list[_Pose]]:
     """Those resting poses that are stable, each as the object lies after it has settled; upright always."""
-    settled = _settled(recorded, objects, layout, engine, _NEAR)
+    settled = _settle(recorded, objects, layout, engine, _NEAR)
     result = []
-    for index, poses in enumerate(_settled(settled, objects, layout, engine, _SAME)):
+    for index, poses in enumerate(_settle(settled, objects, layout, engine, _SAME)):
         kept = [recorded[index][0]]
         for before, pose in list(zip(settled[index], poses, strict=True))[1:]:
             is_new = max(float(pose.up @ other.up) for other in kept) < _SAME
@@ -107,7 +107,7 @@ def _verified(
     return result
 
 
-def _settled(
+def _settle(
     poses: list[list[_Pose]],
     objects: Sequence[ObjectAsset],
     layout: Layout,
@@ -203,7 +203,7 @@ _PLAIN = ("quaternion", "half_extents", "height", "center_of_mass", "own_margin"
 """What is of one size for all objects."""
 
 
-def _stacked(bodies: list[list[_Body]], number: int) -> Orientations:
+def _stack(bodies: list[list[_Body]], number: int) -> Orientations:
     """Arrays of the orientations of K objects, `number` of each: the first one again for those missing."""
     full = [[*each, *[each[0]] * (number - len(each))] for each in bodies]
 

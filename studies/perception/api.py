@@ -4,16 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from cluttergen_jax.config import Method, check_range, check_workers
-from cluttergen_jax.downstream.words import (
-    MAX_VIEWS,
-    MOST_KNOWN,
-    SegmenterInput,
-    Split,
-    check_noise,
-)
+from cluttergen_jax.downstream.words import Split, check_choice, check_noise
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
 from cluttergen_jax.kept_folder import hold_folder
@@ -23,6 +17,9 @@ if TYPE_CHECKING:
     from studies.perception.evaluate import PerceptionResult
     from studies.perception.view_store import ViewSet
 
+SegmenterInput = Literal["colour", "depth"]
+MOST_KNOWN = 200
+"""Objects of a pool that a segmenter knows, at most."""
 _MOST_SEED = 999_999
 _METHODS: dict[Method, int] = {"random": 5, "clear": 8, "drop": 8}
 """How scenes of views are made, and objects in each: rejection sampling fills few tables with more."""
@@ -82,14 +79,13 @@ def perception_data(
         PerceptionViewConfig,
         write_views,
     )
-    from studies.perception.view_store import VIEWS
+    from studies.perception.view_store import MAX_VIEWS, VIEWS
 
     check_folder(out)
     check_workers("num_threads", num_threads)
     check_range("seed", seed, 0, _MOST_SEED, 0)
     check_range("num_views", num_views, 1, MAX_VIEWS, 6000)
-    if split not in SPLITS:
-        raise ConfigError(f"split = {split!r}", ", ".join(SPLITS))
+    check_choice("split", split, Split)
     config = PerceptionViewConfig(seed=SPLITS[split] + seed, arm=arm)
     if arm:
         find_robot()
@@ -161,8 +157,6 @@ def perception_train(
       BankError: the folder holds no views, or damaged ones; or another process writes to `out`.
       KeyboardInterrupt: on Ctrl-C, once everything is saved.
     """
-    from typing import get_args
-
     from cluttergen_jax.downstream.perception.segmenter import SegmentConfig
     from cluttergen_jax.learning import hold_run
     from studies.perception.training import (
@@ -170,12 +164,12 @@ def perception_train(
         SegmenterTraining,
         ViewSource,
     )
+    from studies.perception.view_store import MAX_VIEWS
 
     check_range("seed", seed, 0, 2**32 - 1, 0)
     if num_views is not None:
         check_range("num_views", num_views, 1, MAX_VIEWS, 6000)
-    if reads not in get_args(SegmenterInput):
-        raise ConfigError(f"reads = {reads!r}", ", ".join(get_args(SegmenterInput)))
+    check_choice("reads", reads, SegmenterInput)
     config = FIT.replace_given(num_epochs, batch_size, learning_rate, seed)
     folder = Path(out or f"runs/segmenter-{reads}-{seed}")
     with hold_run(folder):
@@ -229,7 +223,7 @@ def perception_eval(
         segmenter_folder,
     )
     from studies.perception.evaluate import TRUE_MASKS, evaluate_perception
-    from studies.perception.view_store import read_views
+    from studies.perception.view_store import MAX_VIEWS, read_views
 
     check_folder(out)
     check_range("seed", seed, 0, _MOST_SEED, 0)

@@ -24,12 +24,14 @@ from cluttergen_jax.downstream.samples import (
     lengths_of,
     read_columns,
 )
-from cluttergen_jax.downstream.words import MAX_VIEWS
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.scene import Bank
 from cluttergen_jax.schema import Numbers, refuse
 from cluttergen_jax.sensing import Camera, View
 from cluttergen_jax.views import TENTH_OF_A_MILLIMETRE, depth_levels
+
+MAX_VIEWS = 1_000_000
+"""Of a split: a larger number is a slip of the hand."""
 
 
 class ViewSplit(msgspec.Struct):

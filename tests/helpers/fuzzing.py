@@ -419,7 +419,7 @@ def _words_of_a_set(folder: Path) -> None:
 
 
 def _look_up(folder: Path) -> object:
-    return sets._parsed(folder / "words.json.gz", time.monotonic_ns(), 0)
+    return sets._parse(folder / "words.json.gz", time.monotonic_ns(), 0)
 
 
 def _judged(folder: Path) -> None:

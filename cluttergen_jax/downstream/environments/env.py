@@ -7,7 +7,7 @@ import weakref
 from collections.abc import Mapping, Sequence
 from functools import partial
 from numbers import Integral, Real
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import gymnasium
 import mujoco
@@ -26,6 +26,7 @@ from cluttergen_jax.downstream.environments.world import (
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.transforms import pose_of
+from cluttergen_jax.downstream.words import check_choice
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation import required_recipe
 from cluttergen_jax.rendering import new_context
@@ -372,8 +373,7 @@ def check_settings(
     max_seconds: float | None,
 ) -> None:
     """Refuses what no environment can have (ConfigError)."""
-    if action not in get_args(RobotAction):
-        raise ConfigError(f"action = {action!r}", ", ".join(get_args(RobotAction)))
+    check_choice("action", action, RobotAction)
     if not isinstance(cameras, (tuple, list)) or len(set(cameras)) < len(cameras):
         raise ConfigError(
             f"cameras = {cameras!r}", "a sequence of names, each once", 'cameras=("front",)'

@@ -6,7 +6,7 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 import mujoco
@@ -27,6 +27,7 @@ from cluttergen_jax.downstream.robot.model import Robot as Arm
 from cluttergen_jax.downstream.robot.model import arm_spec as whole_arm
 from cluttergen_jax.downstream.robot.model import base_pose, remove_unused_meshes
 from cluttergen_jax.downstream.robot.motion.collision import add_stand
+from cluttergen_jax.downstream.words import check_choice
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation import BankArrays, BankAttachment, BankWorld, WorldState
 from cluttergen_jax.rendering import add_lighting
@@ -283,8 +284,7 @@ def with_robot(
         raise ConfigError(
             f"a bank of type {type(bank).__name__}", "that of cg.load_bank", "load_bank(folder)"
         )
-    if physics not in get_args(RobotPhysics):
-        raise ConfigError(f"physics = {physics!r}", ", ".join(get_args(RobotPhysics)))
+    check_choice("physics", physics, RobotPhysics)
     if pose is not None and not _is_pose(pose):
         raise ConfigError(
             f"pose = {pose!r}", "seven finite numbers: metres, then a unit quaternion wxyz"

@@ -15,6 +15,7 @@ from cluttergen_jax.downstream.words import (
     PlacerNoise,
     SensedFrom,
     Split,
+    check_choice,
     check_noise,
 )
 from cluttergen_jax.errors import BankError, ConfigError
@@ -94,8 +95,8 @@ def placer_data(
     check_range("seed", seed, 0, _MOST_SEED, 0)
     if num_pairs is not None:
         check_range("num_pairs", num_pairs, 1, MAX_PAIRS, 5000)
-    if split is not None and split not in SPLITS:
-        raise ConfigError(f"split = {split!r}", ", ".join(SPLITS))
+    if split is not None:
+        check_choice("split", split, Split)
     name = split or "train"
 
     def make() -> Bank:

@@ -361,7 +361,7 @@ class Starts:
         return self._draw("spread", relations)
 
     @cached_property
-    def _placed(self) -> RearrangeSetting:
+    def _setting_here(self) -> RearrangeSetting:
         """The setting with its rectangles where they are on the support."""
         setting = self.setting
         own = self._own
@@ -392,7 +392,7 @@ class Starts:
             within what the arm reaches of the support.
         """
         rng = np.random.default_rng(seed)
-        setting = self._placed
+        setting = self._setting_here
         place = self._place
         if self._scenes:
             scene = self._scenes[index % len(self._scenes)]
@@ -523,13 +523,13 @@ def _check_inside(rectangle: Rectangle, area: Rectangle, what: str) -> None:
     corners = rotate_in_plane(rectangle.corners - np.asarray(area.center), -area.yaw)
     if (np.abs(corners) > np.asarray(area.half_extents) + _SLACK).any():
         raise ConfigError(
-            f"{what}, {_told(rectangle)}",
-            f"within {_told(area)}, which the arm reaches",
+            f"{what}, {_size_text(rectangle)}",
+            f"within {_size_text(area)}, which the arm reaches",
             "a smaller `target`, another `setting`, or a larger support",
         )
 
 
-def _told(rectangle: Rectangle) -> str:
+def _size_text(rectangle: Rectangle) -> str:
     x, y = rectangle.center
     half_x, half_y = rectangle.half_extents
     return f"{2 * half_x:g} x {2 * half_y:g} m about {x:g}, {y:g}"

@@ -78,7 +78,7 @@ class EpisodeRecording:
         return np.column_stack([told[:, arm.ctrl], asked]).astype(np.float32)
 
     @cached_property
-    def _seen(self) -> tuple[np.ndarray, np.ndarray]:
+    def _hand(self) -> tuple[np.ndarray, np.ndarray]:
         """f64[T, 4, 4], T_world_tool; bool[T], the hand touches something that is not the arm."""
         tools = []
         touches = []
@@ -95,12 +95,12 @@ class EpisodeRecording:
     @property
     def tool_pose(self) -> np.ndarray:
         """f32[T, 7]: T_world_tool, metres, wxyz."""
-        return pose_of(self._seen[0]).astype(np.float32)
+        return pose_of(self._hand[0]).astype(np.float32)
 
     @property
     def contact(self) -> np.ndarray:
         """bool[T]: the hand touches something."""
-        return self._seen[1]
+        return self._hand[1]
 
     @cached_property
     def _model(self) -> mujoco.MjModel:

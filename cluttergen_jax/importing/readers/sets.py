@@ -577,7 +577,7 @@ class Sidecars:
                     not family.signs or any(key in entry for key in family.signs)
                 ):
                     self.used.add(file.resolve())
-                    return self._stated(entry, file, family, source, place)
+                    return self._statement(entry, file, family, source, place)
         return self._unknown(source, place)
 
     def _files_of(self, family: Family, source: ObjectFile) -> Iterator[Path]:
@@ -619,7 +619,7 @@ class Sidecars:
                 found = (
                     document.get(key)
                     if isinstance(document, dict)
-                    else _named(document, source.path)
+                    else _entry_of(document, source.path)
                 )
                 if isinstance(found, dict):
                     return found
@@ -629,7 +629,7 @@ class Sidecars:
                     return document
         return None
 
-    def _stated(
+    def _statement(
         self, entry: dict[str, Any], file: Path, family: Family, source: ObjectFile, place: str
     ) -> Stated:
         values: dict[str, Any] = {}
@@ -697,7 +697,7 @@ class Sidecars:
                 alarms.append(("", _unreadable(file, error)))
                 self.used.add(file.resolve())
                 continue
-            entry = _named(document, source.path)
+            entry = _entry_of(document, source.path)
             if isinstance(document, list) and len(document) == 1:
                 document = document[0]
             for name, key, value, suggested in physical_values(
@@ -744,7 +744,7 @@ def _keys_of(family: Family, entry: Any) -> Iterator[tuple[str, str, Any]]:
 
 
 @lru_cache(maxsize=8)
-def _parsed(path: Path, time: int, size: int) -> tuple[Any, str]:
+def _parse(path: Path, time: int, size: int) -> tuple[Any, str]:
     """A file's JSON as of a time, and why there is none; NaN is judged where it stands."""
     if size > _MAX_BYTES:
         return None, f"it holds {size >> 20} MB"
@@ -766,7 +766,7 @@ def read_json(path: Path) -> Any:
         about = path.stat()
     except OSError as error:
         raise ValueError(error.strerror) from error
-    document, fault = _parsed(path, about.st_mtime_ns, about.st_size)
+    document, fault = _parse(path, about.st_mtime_ns, about.st_size)
     if fault:
         raise ValueError(fault)
     return document
@@ -823,7 +823,7 @@ def _at(entry: Any, key: str) -> Any:
     return entry
 
 
-def _named(document: Any, mesh: Path) -> dict[str, Any] | None:
+def _entry_of(document: Any, mesh: Path) -> dict[str, Any] | None:
     """The part of a document that is called as a mesh, or names it; None if there is none."""
     names = {mesh.stem, mesh.name, mesh.resolve().parent.name}
     tables = [document]

@@ -116,17 +116,17 @@ def _parse_as_tinyxml(text: str) -> Element | None:
         elif found := _END_TAG.match(text, start):
             if not open_tags or open_tags.pop() != found[1]:
                 return None
-            builder.end(_expanded(found[1]))
+            builder.end(_expand(found[1]))
             is_over = not open_tags
             place = found.end()
         elif found := _TAG.match(text, start):
             if is_over:
                 return None
-            builder.start(_expanded(found["name"]), _attributes(found["values"]))
+            builder.start(_expand(found["name"]), _attributes(found["values"]))
             open_tags.append(found["name"])
             place = found.end()
             if found["end"]:
-                builder.end(_expanded(open_tags.pop()))
+                builder.end(_expand(open_tags.pop()))
                 is_over = not open_tags
         else:
             return None
@@ -143,13 +143,13 @@ def _attributes(text: str) -> dict[str, str]:
     found = [(name, value[1:-1]) for name, value in _ATTRIBUTE.findall(text)]
     # Of one that comes twice the first holds.
     return {
-        _expanded(name): _plain_text(value)
+        _expand(name): _plain_text(value)
         for name, value in reversed(found)
         if not name.startswith("xmlns")
     }
 
 
-def _expanded(name: str) -> str:
+def _expand(name: str) -> str:
     prefix, _, own = name.rpartition(":")
     return f"{{{prefix}}}{own}" if prefix and own else name
 

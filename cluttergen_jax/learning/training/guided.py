@@ -524,7 +524,7 @@ class _Crowds:
         self._seed = seed
 
     @cached_property
-    def _made(self) -> tuple[WorldMaker, list[TrainingSetting]]:
+    def _maker_and_settings(self) -> tuple[WorldMaker, list[TrainingSetting]]:
         """Made when the first world is asked for: a run that has seen all needs none."""
         names, number, first_seed = self._families
         objects = variants(number, first_seed, names)
@@ -539,7 +539,7 @@ class _Crowds:
 
     def world(self, number: int, index: int) -> TrainingWorld:
         """The world of setting `index` in round `number`, its engine started."""
-        maker, settings = self._made
+        maker, settings = self._maker_and_settings
         stability = StabilityConfig(robust_tilt=ROBUST_TILT if index % 2 else 0.0)
         world = maker.make(settings[index], number * self.config.num_settings + index, stability)
         world.start_engine()

@@ -359,15 +359,15 @@ def make_proposer(method: str, rules: Rules) -> Proposer:
         return method.make(rules)
     if method not in METHODS or METHODS[method].needs_checkpoint:
         raise ConfigError(f"method {method!r}", ", ".join(BASELINES), "method='clear'")
-    return _found(METHODS[method].made_by)(rules)
+    return _import(METHODS[method].made_by)(rules)
 
 
 def episodes_of(method: str) -> Callable[..., Any]:
     """The class of a method's episodes: `BlockSampler`, or one with its arguments."""
-    return _found(entry_of(method).episodes)
+    return _import(entry_of(method).episodes)
 
 
-def _found(place: str) -> Any:
+def _import(place: str) -> Any:
     """What "module:name" of the package of placement names."""
     module, _, name = place.partition(":")
     found: Any = import_module(f"cluttergen_jax.placement.{module}")

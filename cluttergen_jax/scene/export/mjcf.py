@@ -413,12 +413,12 @@ def robosuite_xml(
         shape = _shape(solid, solid.name)
         ET.SubElement(inner, "geom", shape | touch, group=_COLLIDES, rgba="0 0 0 0")
         if shows_solids(body):
-            ET.SubElement(inner, "geom", shape | _drawn(solid.rgba))
+            ET.SubElement(inner, "geom", shape | _drawing_of(solid.rgba))
     for surface in surfaces_of(body):
         _add_surface(assets, inner, surface)
     if region:
         box = {"type": "box", "pos": "0 0 0", "size": _text(reach)}
-        ET.SubElement(inner, "geom", _drawn((0.0, 0.0, 0.0, 0.0)) | box, name="reg_bbox")
+        ET.SubElement(inner, "geom", _drawing_of((0.0, 0.0, 0.0, 0.0)) | box, name="reg_bbox")
     # The three sites by which robosuite knows an object's size.
     sites = {
         "bottom_site": [0, 0, bottom],
@@ -431,7 +431,7 @@ def robosuite_xml(
     return ET.tostring(root, encoding="utf-8") + b"\n"
 
 
-def _drawn(rgba: tuple[float, ...]) -> dict[str, str]:
+def _drawing_of(rgba: tuple[float, ...]) -> dict[str, str]:
     """Attributes of a geom of robosuite's that is drawn, touches nothing and weighs nothing."""
     return _UNSEEN | {"group": _DRAWN, "rgba": _text(rgba)}
 
@@ -439,7 +439,7 @@ def _drawn(rgba: tuple[float, ...]) -> dict[str, str]:
 def _add_surface(assets: ET._Element, body: ET._Element, surface: VisualShape) -> None:
     name = surface.name
     ET.SubElement(assets, "mesh", _weightless(surface.piece), name=name, file=surface.file)
-    geom = ET.SubElement(body, "geom", _drawn(surface.piece.rgba), type="mesh", mesh=name)
+    geom = ET.SubElement(body, "geom", _drawing_of(surface.piece.rgba), type="mesh", mesh=name)
     if surface.image is not None:
         texture = name.replace("visual", "image")
         shine = {"specular": str(SPECULAR), "shininess": str(SHININESS)}
