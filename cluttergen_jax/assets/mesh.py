@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +38,12 @@ class Mesh:
     def points(vertices: np.ndarray) -> Mesh:
         """The convex part spanned by `vertices`, f64[V, 3]."""
         return Mesh(vertices, np.zeros((0, 3), np.int32))
+
+    @staticmethod
+    def convex_parts(sets: Sequence[Sequence[Sequence[float]]]) -> tuple[Mesh, ...]:
+        """The convex part spanned by each of several sets of vertices."""
+        none = np.zeros((0, 3), np.int32)
+        return tuple([Mesh(np.array(vertices, np.float64), none) for vertices in sets])
 
     @property
     def bounds(self) -> np.ndarray:

@@ -267,7 +267,7 @@ def _asset(stored: _Stored, blobs: dict[str, bytes]) -> ObjectAsset:
         name=stored.name,
         label=stored.label,
         pieces=tuple(pieces),
-        parts=tuple(Mesh.points(np.array(part)) for part in stored.parts),
+        parts=Mesh.convex_parts(stored.parts),
         mass=stored.mass,
         center_of_mass=np.array(stored.center_of_mass, np.float64),
         inertia=np.array(stored.inertia, np.float64).reshape(3, 3),

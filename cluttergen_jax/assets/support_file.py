@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
-import numpy as np
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.obj import mesh_text, parse_surface, part_name, surface_text
@@ -293,7 +292,7 @@ def _support(record: _Stored, folder: Path) -> SupportAsset:
         ]
     if max(map(abs, (*numbers, *record.region.center, *record.region.half_extents))) > _FAR:
         faults.append(f"something is farther away than {_FAR:g} m")
-    parts = [Mesh.points(np.array(part)) for part in record.parts]
+    parts = Mesh.convex_parts(record.parts)
     faults += [
         f"part {number} has no volume" for number, part in enumerate(parts) if _is_flat(part)
     ]
@@ -310,7 +309,7 @@ def _support(record: _Stored, folder: Path) -> SupportAsset:
         region=record.region,
         provenance=record.provenance,
         pieces=tuple(_piece(piece, folder) for piece in record.pieces),
-        parts=tuple(parts),
+        parts=parts,
         named=tuple(record.surfaces),
         surface=record.surface,
         joints=tuple(record.joints),
