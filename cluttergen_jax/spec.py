@@ -35,7 +35,7 @@ from cluttergen_jax.config import (
     stability_text,
 )
 from cluttergen_jax.errors import ConfigError, closest, range_text
-from cluttergen_jax.placement.clutter import Clutter
+from cluttergen_jax.placement.clutter import CROWDED, Clutter
 from cluttergen_jax.placement.config import (
     MAX_SLOTS,
     MIN_MARGIN,
@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets.facts import ObjectFacts
     from cluttergen_jax.assets.pool import Pool
     from cluttergen_jax.assets.support import Rectangle, Ring
+    from cluttergen_jax.placement.methods.table import MethodEntry
     from cluttergen_jax.placement.problem import ProblemConfig
     from cluttergen_jax.placement.rules import Proposer, Rules
 
@@ -66,7 +67,7 @@ if TYPE_CHECKING:
 
 SHELF = 64
 MOST_ON_SHELF = 200
-CROWD = 40
+MANY = 40
 """Objects; scenes of more are not over when they fail their last check (`PlacementConfig.retry_last`)."""
 MARGIN_FOR: dict[OtherEngine, float] = {"drake": 0.02, "pybullet": 0.01, "isaac": 0.01}
 """Metres of `min_margin` that another engine asks for (reports/measured.md); Isaac's was not measured."""
@@ -110,6 +111,7 @@ class SceneOptions(TypedDict, total=False):
     relations: Sequence[str]
     roles: str | Mapping[str, str]
     clearance: float | None
+    crowd: float
     method: Method | OwnProposer | str | None
     checkpoint: str | Path | None
     engine: Engine
@@ -170,8 +172,10 @@ class SceneSpec(PlacementRequest):
       clutter: what scenes should have on average (methods "guided", "spread"): stack, number of objects on
         others; contained, number of objects inside of hollow others, such as bowls and pots; depth, sum over
         objects of those below; contacts, touching pairs; near, mean distance to the nearest object (m);
-        occlusion, mean hidden share of an object. As text "stack=3,near=0.02"; in Python also a mapping.
-        Method "packed" takes stack alone: at most so many objects on others, where the top has no room.
+        occlusion, mean hidden share of an object. With any method that places one by one: side, pairs that
+        touch from the side, for each object; lean, share of the objects that lean (see `crowd`). As text
+        "stack=3,near=0.02"; in Python also a mapping. Method "packed" takes stack, and it alone of the first
+        ones: at most so many objects on others, where the top has no room.
       natural: prefer wide, flat objects below and small ones on top (methods "guided", "spread").
       tidy: keep room instead of spreading objects out: more objects fit, but scenes are less diverse (methods
         "guided", "spread").
@@ -187,6 +191,9 @@ class SceneSpec(PlacementRequest):
         `objects`: "plate_1=plate*; plate_2=plate*". In Python also a mapping.
       clearance: metres between the boxes of objects, and to the region's sides, that "packed" leaves; 0.003
         if not given.
+      crowd: how far the objects of a finished scene are drawn together: 0, they stay where they were placed;
+        0.5, neighbours touch from the side, the same as clutter="side=0.9"; 1, a heap in which many lean, as
+        clutter="side=1.2,lean=0.4". Native engine only.
       method: who proposes poses: "guided", "spread", "drop", "clear", "random", or a policy trained for the
         pool: "policy", "beta_free", "normal", "open_loop" or "short_memory"; "packed": upright, side by side,
         on others only as many as `clutter` allows by stack; or "pile": all objects fall into a heap, in any
@@ -387,13 +394,14 @@ class SceneSpec(PlacementRequest):
         self.check_poses(method)
         if entry.limits_stack and self.clutter is not None:
             targets = Clutter.of(self.clutter).targets
-            if others := [name for name in targets if name != "stack"]:
+            if others := [name for name in targets if name not in ("stack", *CROWDED)]:
                 given = f"clutter {others[0]}={targets[others[0]]:g} with method {str(method)!r}"
                 allowed = (
                     "stack, the most objects that may rest on others; or with guided or spread"
                 )
                 raise ConfigError(given, allowed, f"method={TRUSTED[0]!r}")
-        wanted = [name for name in TARGETS if getattr(self, name) and name not in entry.takes]
+        self._check_crowd(entry)
+        wanted = [name for name in TARGETS if self._asks(name) and name not in entry.takes]
         if wanted:
             given = f"`{wanted[0]}` with method {str(method)!r}"
             raise ConfigError(given, f"with {' or '.join(TRUSTED)}", f"method={TRUSTED[0]!r}")
@@ -419,6 +427,32 @@ class SceneSpec(PlacementRequest):
                 "leaving it out",
                 f"method={TRUSTED[0]!r}, which places one object after another",
             )
+
+    def _asks(self, name: str) -> bool:
+        """Whether a field of `TARGETS` asks for what not every method brings about."""
+        if name == "clutter" and self.clutter is not None:
+            return Clutter.of(self.clutter).drawn is not None
+        return bool(getattr(self, name))
+
+    def _check_crowd(self, entry: MethodEntry) -> None:
+        """Refuses crowds where objects cannot be drawn together (ConfigError)."""
+        asked = {} if self.clutter is None else Clutter.of(self.clutter).targets
+        named = [f"clutter {name}={asked[name]:g}" for name in CROWDED if asked.get(name)]
+        named += [f"crowd = {self.crowd:g}"] if self.crowd else []
+        if not named:
+            return
+        several = self.surface == "all" or bool({*",:"} & {*self.surface})
+        reasons = {
+            "method='pile', which is a heap already": entry.is_whole,
+            f"engine={self.engine!r}, which draws nothing together": self.engine in ("warp", "jax"),
+            "a scene to start from, whose objects stay": self.start is not None,
+            f"surface={self.surface!r}, between which nothing is drawn": several,
+            "one object": self.num_objects == 1,
+        }
+        for reason, holds in reasons.items():
+            if holds:
+                allowed = "two objects or more, placed one by one on one level surface by the native engine"
+                raise ConfigError(f"{named[0]} with {reason}", allowed, "leaving out one of them")
 
     @property
     def pool_text(self) -> str:
@@ -512,7 +546,10 @@ class SceneSpec(PlacementRequest):
             stack = None if clutter is None else clutter.stack
             decided["most_stacked"] = math.ceil(stack or 0)
         placement = self._placement(num_objects, decided)
-        engine: Engine = "native" if entry.is_whole else self.engine
+        _, lean = placement.crowd_targets or (0.0, 0.0)
+        is_heap = entry.is_whole or lean > 0
+        is_native = is_heap or placement.crowd_targets is not None
+        engine: Engine = "native" if is_native else self.engine
         has_two_detectors = engine_of(engine, stability) == "native"
         return ProblemConfig(
             pool=pool,
@@ -532,7 +569,7 @@ class SceneSpec(PlacementRequest):
             stability=replace(
                 stability, both_detectors=has_two_detectors and self.setting != "paper"
             ),
-            contact=ContactConfig(noslip_iterations=PILE_NOSLIP if entry.is_whole else 0),
+            contact=ContactConfig(noslip_iterations=PILE_NOSLIP if is_heap else 0),
         )
 
     def _num_weighted(self, facts: Sequence[ObjectFacts], chosen: Sequence[str]) -> int:
@@ -592,7 +629,7 @@ class SceneSpec(PlacementRequest):
         rules["num_objects"] = num_objects
         rules["roles"] = parse_roles(str(self.roles))
         # With a hundred objects one in four scenes would be lost to a single one that creeps.
-        rules["retry_last"] = bool(rules.get("ruin_after")) and num_objects > CROWD
+        rules["retry_last"] = bool(rules.get("ruin_after")) and num_objects > MANY
         return PlacementConfig(**rules)
 
 

@@ -115,7 +115,7 @@ class Standing(struct.PyTreeNode):
 
 
 class Piling(struct.PyTreeNode):
-    """A pile, as the simulator saw it. K objects in the compiled world.
+    """A pile or a crowd, as the simulator saw it. K objects in the compiled world.
 
     Attributes:
       verdict: i32: STABLE or CREPT after its last check; or what kept it from that: UNSETTLED, PENETRATING,
@@ -128,6 +128,8 @@ class Piling(struct.PyTreeNode):
       penetration: f32, the deepest overlap at rest, metres.
       touches: bool[K, K], pairs of objects that touch; level: i32[K], 0 on the support alone, else one more
         than the highest of the objects that carry it and whose centre of mass is lower.
+      num_beside: i32, pairs of objects that touch from the side; num_leaning: i32, objects that lean, counted
+        where objects were drawn together (`physics.crowds`).
     """
 
     verdict: Array
@@ -140,6 +142,8 @@ class Piling(struct.PyTreeNode):
     penetration: Array
     touches: Array
     level: Array
+    num_beside: Array
+    num_leaning: Array
 
 
 def small_length(metres: float) -> str:

@@ -32,7 +32,7 @@ _NOT_TAKEN = {
     **dict.fromkeys(("shelf", "weights", "balance"), "where a policy learns in one world"),
     **dict.fromkeys(("keep_out", "start"), "where every episode begins on an empty support"),
     "setting": "where rules that are not given are those of the preset",
-    **dict.fromkeys(("height", *TARGETS, "clearance"), "of methods that are not trained"),
+    **dict.fromkeys(("height", *TARGETS, "clearance", "crowd"), "of methods that are not trained"),
     "poses": "of which a policy, which sees clouds of upright objects, would know nothing",
     **dict.fromkeys(("method", "checkpoint"), "where `variant` says what is trained"),
 }

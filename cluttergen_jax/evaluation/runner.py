@@ -355,8 +355,7 @@ class Runner:
     def _config(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> ProblemConfig:
         """The trial's problem on the runner's engine, judged as its method and its count ask."""
         trial = resolved.trial
-        # Piles are made by the native engine alone.
-        engine = "native" if resolved.config.is_piled else self.engine
+        engine = "native" if resolved.config.needs_native else self.engine
         config = replace(resolved.config, engine=engine, num_threads=self.num_threads)
         stability = replace(
             config.stability,

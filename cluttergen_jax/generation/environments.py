@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 OBSERVATIONS = ("flat", "dict")
 ACTIONS = ("pose", "surface")
-_OF_METHODS = ("height", *TARGETS, "clearance")
+_OF_METHODS = ("height", *TARGETS, "clearance", "crowd")
 """Fields of a `SceneSpec` that a method brings about."""
 _NOT_TAKEN = {
     **dict.fromkeys(

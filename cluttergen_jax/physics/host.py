@@ -114,6 +114,8 @@ def empty_piling(xp: Any, batch: tuple[int, ...], num_objects: int) -> Piling:
         penetration=zeros(xp.float32),
         touches=zeros(xp.bool, num_objects, num_objects),
         level=zeros(xp.int32, num_objects),
+        num_beside=zeros(xp.int32),
+        num_leaning=zeros(xp.int32),
     )
 
 
@@ -210,6 +212,10 @@ class BatchEngine(Protocol):
         """`HostPhysics.pile` for each of them."""
         ...
 
+    def crowd_batch(self, *arrays: np.ndarray) -> Piling:
+        """`HostPhysics.crowd` for each of them."""
+        ...
+
     def free(self) -> None:
         """Gives back what it holds for its next batches; they are only slower to begin."""
         ...
@@ -242,6 +248,18 @@ class HostPhysics(OneScenePhysics):
         """`pile` for N scenes held in NumPy arrays with one leading axis."""
         raise NotImplementedError(f"{type(self).__name__} makes no piles")
 
+    def crowd(self, *asked: Array) -> Piling:
+        """The objects of one scene drawn together.
+
+        Args:
+          asked: the arrays of a `physics.crowds.CrowdRequest` for one scene, and bool, whether it is active.
+        """
+        return host_function(self.crowd_batch, self._piling)(*asked)
+
+    def crowd_batch(self, *arrays: np.ndarray) -> Piling:
+        """`crowd` for N scenes held in NumPy arrays with one leading axis."""
+        raise NotImplementedError(f"{type(self).__name__} makes no crowds")
+
 
 class NumberedEngines:
     """Engines of worlds of one size, each known by a number; the one that was asked last is at hand.
@@ -267,6 +285,7 @@ class NumberedEngines:
         self.settle_one = host_function(partial(self._batch, "settle_batch"), settling)
         self.stand_one = host_function(partial(self._batch, "stand_batch"), standing)
         self.pile_one = host_function(partial(self._batch, "pile_batch"), piling)
+        self.crowd_one = host_function(partial(self._batch, "crowd_batch"), piling)
 
     def with_number(self, number: Array) -> HostPhysics:
         """The physics of the world of a number, i32."""
@@ -322,6 +341,14 @@ class _Numbered(HostPhysics):
     def pile_batch(self, *arrays: np.ndarray) -> Piling:
         """See `BatchEngine`."""
         return self._engines.engine(int(self._number)).pile_batch(*arrays)
+
+    def crowd(self, *asked: Array) -> Piling:
+        """See `HostPhysics`."""
+        return self._engines.crowd_one(self._number, *asked)
+
+    def crowd_batch(self, *arrays: np.ndarray) -> Piling:
+        """See `BatchEngine`."""
+        return self._engines.engine(int(self._number)).crowd_batch(*arrays)
 
     def settle_batch(self, *arrays: np.ndarray) -> Settling:
         """See `BatchEngine`."""

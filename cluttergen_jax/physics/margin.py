@@ -21,6 +21,11 @@ from cluttergen_jax.physics.layout import Layout
 MIN_LIFT = math.sin(math.radians(10))
 """Vertical part of a contact's unit normal from which it carries: what merely touches a side does not."""
 
+MAX_BESIDE = 0.5
+"""Vertical part of a contact's unit normal up to which it is one from the side: 30 degrees from level."""
+TOUCH_REACH = 0.0005
+"""Metres of gap across which two objects still touch: what stands side by side parts by micrometres."""
+
 MIN_SHIFT = 1e-5
 """Metres that an attempt must have moved a neighbour for its support to be looked at again."""
 
@@ -117,12 +122,37 @@ def margins_of(layout: Layout, data: mujoco.MjData, objects: np.ndarray) -> np.n
     return np.array(margins)
 
 
-class OverlapProbe:
-    """Collides one scene at a time, without dynamics, everything awake."""
+def beside_of(layout: Layout, data: mujoco.MjData, reach: float) -> np.ndarray:
+    """The pairs of objects that touch from the side, in a scene whose contacts are computed: bool[K, K].
 
-    def __init__(self, layout: Layout) -> None:
+    Args:
+      reach: metres, the widest gap across which two still touch.
+    """
+    contact = data.contact
+    pair = layout.geom_object[contact.geom]
+    is_beside = (np.abs(contact.frame[:, 2]) < MAX_BESIDE) & (contact.dist <= reach)
+    touch = np.zeros((layout.num_objects + 1,) * 2, bool)
+    touch[pair[is_beside, 0], pair[is_beside, 1]] = True
+    return (touch | touch.T)[:-1, :-1]
+
+
+class OverlapProbe:
+    """Collides one scene at a time, without dynamics, everything awake.
+
+    Args:
+      layout: of the compiled world.
+      reach: metres of gap over which contacts are seen, for `beside`.
+    """
+
+    def __init__(self, layout: Layout, reach: float = 0.0) -> None:
         self._layout = layout
-        self._data = mujoco.MjData(layout.model)
+        self._model = layout.model
+        self._reach = reach
+        if reach:
+            self._model = layout.model.__copy__()
+            self._model.geom_margin[:] = reach
+            self._model.geom_gap[:] = reach
+        self._data = mujoco.MjData(self._model)
         self._parked = layout.parked
 
     def depths(self, poses: np.ndarray, is_placed: np.ndarray) -> np.ndarray | None:
@@ -135,7 +165,7 @@ class OverlapProbe:
           f64[K + 1, K + 1], metres, symmetric, index K for the support, zero where apart; None if there was
           no room for all contacts.
         """
-        model = self._layout.model
+        model = self._model
         data = self._data
         num_objects = self._layout.num_objects
         mujoco.mj_resetData(model, data)
@@ -161,3 +191,7 @@ class OverlapProbe:
     def bearers(self, index: int) -> np.ndarray:
         """The objects that press object `index` upwards in that scene: bool[K]."""
         return bearers_of(self._layout, self._data, index)
+
+    def beside(self) -> np.ndarray:
+        """The pairs of objects that touch from the side in that scene, over gaps within reach: bool[K, K]."""
+        return beside_of(self._layout, self._data, self._reach)

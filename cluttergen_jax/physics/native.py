@@ -11,7 +11,9 @@ from __future__ import annotations
 import math
 import threading
 from collections import OrderedDict
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import NamedTuple
 
 import jax
@@ -20,6 +22,7 @@ import numpy as np
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.geometry import rotate
 from cluttergen_jax.physics import stability
+from cluttergen_jax.physics.crowds import Crowder, CrowdRequest
 from cluttergen_jax.physics.host import (
     SUMS,
     HostPhysics,
@@ -32,7 +35,7 @@ from cluttergen_jax.physics.host import (
 )
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.log import silent_log
-from cluttergen_jax.physics.margin import MIN_SHIFT, OverlapProbe
+from cluttergen_jax.physics.margin import MIN_SHIFT, TOUCH_REACH, OverlapProbe
 from cluttergen_jax.physics.piles import Piler, PileRequest, walled_simulations
 from cluttergen_jax.physics.simulations import Motion, Simulations, sleeping_model
 from cluttergen_jax.physics.standing import displacement, verdict_of_scene
@@ -100,6 +103,11 @@ class NativePhysics(HostPhysics):
         self._walled: Simulations | None = None
         self._lock = threading.Lock()
 
+    @cached_property
+    def near_probe(self) -> OverlapProbe:
+        """Sees what touches from the side, too, where nothing presses."""
+        return OverlapProbe(self.layout, TOUCH_REACH)
+
     def settle_batch(
         self, poses: np.ndarray, is_placed: np.ndarray, focus: np.ndarray, is_active: np.ndarray
     ) -> Settling:
@@ -125,35 +133,60 @@ class NativePhysics(HostPhysics):
             return self.stand_block(poses, is_placed, is_active)
 
     def stand_block(
-        self, poses: np.ndarray, is_placed: np.ndarray, is_active: np.ndarray
+        self,
+        poses: np.ndarray,
+        is_placed: np.ndarray,
+        is_active: np.ndarray,
+        is_brief: bool = False,
     ) -> Standing:
-        """`stand_batch` for what holds the engine already, and is silent."""
+        """`stand_batch` for what holds the engine already, and is silent.
+
+        Args:
+          is_brief: end with the first stage; what is not quiet in it is UNSETTLED.
+        """
         result = empty_standing(np, (len(poses),), self.layout.num_objects)
         is_sound = _is_sound(poses, is_placed)
         result.verdict[is_active & ~is_sound] = Verdict.NON_FINITE
         for block in self._blocks(is_active & is_sound):
-            self._stand_block(poses[block], is_placed[block], result, block, self.config)
+            self._stand_block(poses[block], is_placed[block], result, block, self.config, is_brief)
         # What one detector lets fall need not be asked of the other.
         is_left = result.verdict == int(Verdict.STABLE)
         for block in self._blocks(is_left) if self.config.both_detectors else ():
-            self._stand_otherwise(poses[block], is_placed[block], result, block)
+            self._stand_otherwise(poses[block], is_placed[block], result, block, is_brief)
         return result
 
     def pile_batch(self, *arrays: np.ndarray) -> Piling:
         """`HostPhysics.pile` for N scenes: arrays of a `PileRequest`, and bool[N], which are active."""
+        return self._make_blocks(arrays, PILES_AT_ONCE, self._pile)
+
+    def crowd_batch(self, *arrays: np.ndarray) -> Piling:
+        """`HostPhysics.crowd` for N scenes: arrays of a `CrowdRequest`, and bool[N], which are active."""
+        return self._make_blocks(
+            arrays, self.max_simulations, lambda asked: Crowder(self, CrowdRequest(*asked)).run()
+        )
+
+    def _make_blocks(
+        self,
+        arrays: Sequence[np.ndarray],
+        size: int,
+        make: Callable[[list[np.ndarray]], Piling],
+    ) -> Piling:
+        """Makes heaps of the scenes that are active, so many side by side."""
         *asked, is_active = arrays
         result = empty_piling(np, (len(is_active),), self.layout.num_objects)
         indices = np.flatnonzero(is_active)
         with self._lock, silent_log():
-            for start in range(0, len(indices), PILES_AT_ONCE):
-                block = indices[start : start + PILES_AT_ONCE]
-                if self._walled is None:
-                    self._walled = walled_simulations(self.layout, PILES_AT_ONCE, self._num_threads)
-                request = PileRequest(*(each[block] for each in asked))
-                made = Piler(self, self._walled, request).run()
+            for start in range(0, len(indices), size):
+                block = indices[start : start + size]
+                made = make([each[block] for each in asked])
                 for into, each in zip(jax.tree.leaves(result), jax.tree.leaves(made), strict=True):
                     into[block] = each
         return result
+
+    def _pile(self, asked: Sequence[np.ndarray]) -> Piling:
+        if self._walled is None:
+            self._walled = walled_simulations(self.layout, PILES_AT_ONCE, self._num_threads)
+        return Piler(self, self._walled, PileRequest(*asked)).run()
 
     def _blocks(self, is_wanted: np.ndarray) -> list[np.ndarray]:
         indices = np.flatnonzero(is_wanted)
@@ -215,6 +248,7 @@ class NativePhysics(HostPhysics):
         result: Standing,
         block: np.ndarray,
         config: StabilityConfig,
+        is_brief: bool = False,
     ) -> None:
         sims = self.simulations(len(block))
         start = sims.release(poses, is_placed, never_sleeps=is_placed)
@@ -231,13 +265,21 @@ class NativePhysics(HostPhysics):
             result.turn[at] = np.maximum(result.turn[at], np.where(counts, turn, 0.0).max(1))
             reached = (result.num_steps[at], result.shift[at], result.turn[at])
             verdict = verdict_of_scene(np, *reached, is_placed[running], config)
+            if is_brief:
+                is_past = (verdict == Verdict.NONE) & (result.num_steps[at] >= config.stand_steps)
+                verdict[is_past] = Verdict.UNSETTLED
             verdict[motion.overflowed] = Verdict.OVERFLOW
             verdict[~motion.is_finite] = Verdict.NON_FINITE
             result.verdict[at] = verdict
             running = running[verdict == Verdict.NONE]
 
     def _stand_otherwise(
-        self, poses: np.ndarray, is_placed: np.ndarray, result: Standing, block: np.ndarray
+        self,
+        poses: np.ndarray,
+        is_placed: np.ndarray,
+        result: Standing,
+        block: np.ndarray,
+        is_brief: bool,
     ) -> None:
         """The same check with the other detector, of scenes that stand with the first; added to `result`."""
         sims = self.simulations(len(block))
@@ -246,7 +288,8 @@ class NativePhysics(HostPhysics):
             self.config, stand_steps=_OTHER_STEPS, stand_shift=_OTHER_SHIFT, stand_turn=_OTHER_TURN
         )
         with sims.detected_by("libccd", self.config.file_margin):
-            self._stand_block(poses, is_placed, other, np.arange(len(block)), config)
+            every = np.arange(len(block))
+            self._stand_block(poses, is_placed, other, every, config, is_brief)
         result.verdict[block] = other.verdict
         result.num_steps[block] += other.num_steps
         result.shift[block] = np.maximum(result.shift[block], other.shift)

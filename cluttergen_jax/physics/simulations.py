@@ -82,6 +82,8 @@ class Simulations:
         self._num_objects = layout.num_objects
         self._qpos = self._batch.bind("qpos")
         self._qvel = self._batch.bind("qvel")
+        self._force = self._batch.bind("xfrc_applied")
+        self._body_index = layout.body_index
         self._raised = np.zeros(size, bool)
 
     def release(
@@ -161,6 +163,24 @@ class Simulations:
                 "opt.noslip_iterations": 0,
             }
         )
+
+    def no_friction(self, drag: float, turning_drag: float) -> AbstractContextManager[None]:
+        """Inside, nothing has friction, and motion decays; then all is as it was.
+
+        Args:
+          drag, turning_drag: 1/s, by which speeds and angular speeds decay.
+        """
+        damping = damping_of(self._batch.model, drag, turning_drag)
+        return self._change({"geom_condim": 1, "dof_damping": damping, "opt.noslip_iterations": 0})
+
+    def push(self, ids: np.ndarray, acceleration: np.ndarray) -> None:
+        """From now on a force acts at the centre of mass of each object of the simulations `ids`.
+
+        Args:
+          acceleration: f[n, K, 3], m/s^2 that it gives an object alone, in the world frame.
+        """
+        force = acceleration * self._batch.model.body_mass[self._body_index, None]
+        self._force[ids[:, None], self._body_index, :3] = force
 
     def loosen_contacts(self, friction: float) -> AbstractContextManager[None]:
         """Inside, friction is `friction` times as much, contacts are as soft as MuJoCo's default."""

@@ -146,7 +146,7 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
     def is_tilted(self) -> bool:
         """Whether the draw is other than uniform: features are asked for, or what looks natural."""
         asked = self.search.rules.config
-        return asked.clutter is not None or asked.natural
+        return asked.drawn_clutter is not None or asked.natural
 
     def tilt(
         self, episode: Episode, candidates: CandidateSet, trust: Array, asked: Array
@@ -163,7 +163,7 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         logits = jnp.zeros(trust.shape)
         if rules.config.natural:
             logits = natural_logits(rules.geometry, focus, candidates.supporters)
-        if rules.config.clutter is None:
+        if rules.config.drawn_clutter is None:
             return logits, asked
         at = Placing.of(
             episode,
@@ -174,7 +174,7 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
             found.scores.fit.rest,
             candidates.supporters,
         )
-        remaining, added = remaining_and_added(rules.config.clutter, at)
+        remaining, added = remaining_and_added(rules.config.drawn_clutter, at)
         least = self.config.least_trust
         missed = shortfall(remaining, added, trust >= asked)
         is_nearer = shortfall(remaining, added, trust >= least) < missed - _CLOSER
@@ -185,7 +185,7 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
     def _num_above(self) -> int:
         """Candidates over placed objects, where objects are to lie on others."""
         asked = self.search.rules.config
-        clutter = asked.clutter
+        clutter = asked.drawn_clutter
         if clutter is None:
             return 0
         most = max(clutter.stack or 0.0, clutter.depth or 0.0, clutter.contacts or 0.0)
@@ -196,7 +196,7 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
     @property
     def _num_inside(self) -> int:
         """Candidates over hollows, where objects are to be inside of others."""
-        asked = self.search.rules.config.clutter
+        asked = self.search.rules.config.drawn_clutter
         return _INSIDE if asked is not None and asked.contained else 0
 
     def candidates(self, key: Array, episode: Episode) -> CandidateSet:

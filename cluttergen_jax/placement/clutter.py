@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from numbers import Real
 
 from cluttergen_jax.errors import ConfigError, closest, range_text
@@ -26,6 +26,8 @@ class Clutter:
         (`placement.boxes.gaps`).
       occlusion: 0 to 1, the mean share of an object that others hide from a ring of eight cameras that look
         down by 30 degrees (`placement.boxes.hidden_shares`).
+      side: pairs of objects that touch from the side, for each object of the scene, 0 to (N - 1) / 2.
+      lean: 0 to 1, the share of the objects that are tilted by more than 5 degrees against how they stand.
     """
 
     stack: float | None = None
@@ -34,6 +36,8 @@ class Clutter:
     contacts: float | None = None
     near: float | None = None
     occlusion: float | None = None
+    side: float | None = None
+    lean: float | None = None
 
     @staticmethod
     def of(given: str | Mapping[str, float] | Clutter) -> Clutter:
@@ -67,6 +71,12 @@ class Clutter:
         named = {name: getattr(self, name) for name in NAMES}
         return {name: value for name, value in named.items() if value is not None}
 
+    @property
+    def drawn(self) -> Clutter | None:
+        """What the draw of a place can bring about: all but `CROWDED`; None where nothing is left."""
+        rest = replace(self, **dict.fromkeys(CROWDED))
+        return rest if rest.targets else None
+
     def check(self, num_objects: int) -> None:
         """Refuses what no scene of so many objects can have (ConfigError)."""
         pairs = num_objects * (num_objects - 1) // 2
@@ -75,6 +85,7 @@ class Clutter:
             "contained": num_objects - 1,
             "depth": pairs,
             "contacts": pairs,
+            "side": (num_objects - 1) / 2,
         }
         for name, value in self.targets.items():
             if value > most.get(name, math.inf):
@@ -88,8 +99,10 @@ class Clutter:
 
 
 NAMES = tuple(each.name for each in fields(Clutter))
-_MOST = {"near": 1.0, "occlusion": 1.0}
-_ALLOWED = {"near": "0 to 1 m", "occlusion": "0 to 1"}
+CROWDED = ("side", "lean")
+"""Features of what is drawn together once all objects stand (`placement.crowd`)."""
+_MOST = {"near": 1.0, "occlusion": 1.0, "lean": 1.0}
+_ALLOWED = {"near": "0 to 1 m", "occlusion": "0 to 1", "lean": "0 to 1"}
 
 
 def _parse_text(text: str) -> dict[str, float]:

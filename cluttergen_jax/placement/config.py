@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, get_args
 
 from cluttergen_jax.config import Containment, Height, Order, Overhang, Poses, Reward
 from cluttergen_jax.errors import ConfigError, closest
-from cluttergen_jax.placement.clutter import Clutter
+from cluttergen_jax.placement.clutter import CROWDED, Clutter
 from cluttergen_jax.placement.relations import conditions_of, parse_relations, parse_roles
 
 if TYPE_CHECKING:
@@ -76,6 +76,7 @@ class PlacementRequest:
     relations: Sequence[str] = ()
     roles: str | Mapping[str, str] | tuple[tuple[str, str], ...] = ""
     clearance: float | None = None
+    crowd: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,6 +170,7 @@ class PlacementConfig(PlacementRequest):
             )
         if self.clutter is not None:
             object.__setattr__(self, "clutter", Clutter.of(self.clutter))
+        self._check_crowd()
         related = parse_relations(self.relations)
         object.__setattr__(self, "relations", tuple(map(str, related)))
         object.__setattr__(self, "roles", parse_roles(dict(self.roles)))
@@ -179,6 +181,38 @@ class PlacementConfig(PlacementRequest):
                 f"up to {self.num_objects}",
                 f"num_objects={len(names)}",
             )
+
+    def _check_crowd(self) -> None:
+        if not (isinstance(self.crowd, Real) and 0 <= self.crowd <= 1) or self.crowd is True:
+            raise ConfigError(f"crowd = {self.crowd!r}", "0 to 1", "crowd=0.5")
+        if not self.crowd or self.clutter is None:
+            return
+        targets = self.clutter.targets
+        if twice := [name for name in CROWDED if name in targets]:
+            given = f"crowd = {self.crowd:g} with clutter {twice[0]}={targets[twice[0]]:g}"
+            raise ConfigError(given, "one or the other", f"clutter='{twice[0]}=...' alone")
+
+    @property
+    def drawn_clutter(self) -> Clutter | None:
+        """The targets that the draw of a place brings about."""
+        return None if self.clutter is None else self.clutter.drawn
+
+    @property
+    def crowd_targets(self) -> tuple[float, float] | None:
+        """Pairs that shall touch from the side, for each object; and the share of the objects to lean.
+
+        None where objects stay where they were placed.
+        """
+        if self.crowd:
+            # So many pairs hold a group together; more make it dense.
+            least = (self.num_objects - 1) / self.num_objects
+            dense = max(self.crowd - 0.5, 0.0)
+            side = min(1.8 * min(self.crowd, 0.5), least) + 0.6 * dense
+            return min(side, (self.num_objects - 1) / 2), 0.8 * dense
+        asked = {} if self.clutter is None else self.clutter.targets
+        if not any(asked.get(name) for name in CROWDED):
+            return None
+        return asked.get("side", 0.0), asked.get("lean", 0.0)
 
     @property
     def max_scene_attempts(self) -> int:

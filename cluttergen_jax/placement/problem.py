@@ -110,6 +110,11 @@ class ProblemConfig:
     stability: StabilityConfig = field(default_factory=StabilityConfig)
     contact: ContactConfig = field(default_factory=ContactConfig)
 
+    @property
+    def needs_native(self) -> bool:
+        """Whether the native engine alone can make it: piles and crowds are made by it as a whole."""
+        return self.is_piled or self.placement.crowd_targets is not None
+
     def __post_init__(self) -> None:
         check_workers("num_threads", self.num_threads)
         find_change(self.change)

@@ -18,6 +18,7 @@ from flax import struct
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.numerics import compiler_options, new_key, with_own_settings
 from cluttergen_jax.physics.host import HostPhysics
+from cluttergen_jax.placement import crowd
 from cluttergen_jax.placement.region import KeepOut, Region
 from cluttergen_jax.placement.replay import Attempt, Replay
 from cluttergen_jax.placement.rules import Proposer, Rules
@@ -166,6 +167,21 @@ class Rollout:
         ) -> Episode:
             return jax.vmap(choose)(is_new, sampler.begin(key, indices, is_new), episodes)
 
+        def ask_crowds(
+            sampler: BlockSampler, episodes: Episode, is_filled: Array
+        ) -> tuple[Any, ...]:
+            return jax.vmap(partial(crowd.ask, sampler.rules))(episodes, is_filled)
+
+        def conclude_crowds(
+            sampler: BlockSampler,
+            before: Episode,
+            after: Episode,
+            transition: Transition,
+            *made: Any,
+        ) -> tuple[Episode, Array, Any]:
+            after = jax.vmap(partial(crowd.conclude, sampler.rules))(after, *made)
+            return after, after.is_over, look(before, after, transition)
+
         def conclude(
             sampler: BlockSampler,
             before: Episode,
@@ -205,6 +221,8 @@ class Rollout:
         self._propose = program(propose)
         self._judge = program(judge)
         self._conclude = program(conclude)
+        self._ask_crowds = program(ask_crowds)
+        self._conclude_crowds = program(conclude_crowds)
         self._finish = program(lambda sampler, *args: sampler.finish(*args))
 
     @property
@@ -248,8 +266,13 @@ class Rollout:
         episodes, action, *asked = self._propose(sampler, episodes)
         settling = physics.settle_batch(*map(np.asarray, asked))
         after, transition, is_filled = self._judge(sampler, episodes, action, settling)
-        standing = physics.stand_batch(*map(np.asarray, (after.poses, after.is_placed, is_filled)))
         transition = transition.replace(settling=settling)
+        if sampler.rules.is_crowded:
+            asked = self._ask_crowds(sampler, after, is_filled)
+            piling = physics.crowd_batch(*map(np.asarray, asked))
+            made = piling, is_filled
+            return self._conclude_crowds(sampler, episodes, after, transition, *made)
+        standing = physics.stand_batch(*map(np.asarray, (after.poses, after.is_placed, is_filled)))
         return self._conclude(sampler, episodes, after, transition, standing, is_filled)
 
     def run(

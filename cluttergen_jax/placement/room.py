@@ -215,6 +215,10 @@ def check_surface(
     if len(surfaces) > 1 and has_region:
         hint = f"surface={surfaces[0].name!r}, or no region"
         raise ConfigError("a region with several surfaces", "the surfaces' own regions", hint)
+    steepest = max(surface.tilt for surface in surfaces)
+    if placement.crowd_targets is not None and steepest > 0:
+        given = f"objects drawn together on a slope of {math.degrees(steepest):.1f} degrees"
+        raise ConfigError(f"{given}, where they would slide", "a level surface", "crowd=0")
     if placement.poses != "upright":
         return
     friction = contact.friction[0]

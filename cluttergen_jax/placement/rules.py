@@ -14,8 +14,9 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from cluttergen_jax.physics.host import NumberedEngines, Physics
+from cluttergen_jax.physics.host import HostPhysics, NumberedEngines, Physics
 from cluttergen_jax.physics.standing import has_moved
+from cluttergen_jax.placement import crowd
 from cluttergen_jax.placement.boxes import footprint_area
 from cluttergen_jax.placement.config import MAX_MARGIN, ORDER_POWER, PlacementConfig
 from cluttergen_jax.placement.containers import draw_contents
@@ -307,6 +308,8 @@ class Rules(struct.PyTreeNode, eq=False):
             support_graph=empty_graph(self.geometry),
             roles=roles,
         )
+        if self.is_crowded:
+            episode = episode.replace(num_beside=jnp.int32(0), num_leaning=jnp.int32(0))
         if self.surfaces is not None:
             nowhere = jnp.full(self.geometry.num_objects, -1, jnp.int32)
             episode = episode.replace(surface=nowhere)
@@ -364,6 +367,11 @@ class Rules(struct.PyTreeNode, eq=False):
             return weight
         noise = jax.random.gumbel(jax.random.fold_in(key, 1), weight.shape)
         return ORDER_POWER * weight + noise
+
+    @property
+    def is_crowded(self) -> bool:
+        """Whether objects are drawn together once all are placed (`placement.crowd`)."""
+        return self.config.crowd_targets is not None
 
     @property
     def _num_counted(self) -> int:
@@ -461,6 +469,10 @@ class Rules(struct.PyTreeNode, eq=False):
         simulator = self.simulator
         settling = simulator.settle(*self.release(episode, action))
         after, transition, is_filled = self.judge(episode, action, settling)
+        if self.is_crowded:
+            assert isinstance(simulator, HostPhysics)
+            piling = simulator.crowd(*crowd.ask(self, after, is_filled))
+            return crowd.conclude(self, after, piling, is_filled), transition
         standing = simulator.stand(after.poses, after.is_placed, is_filled)
         return self.conclude(after, standing, is_filled), transition
 
@@ -534,7 +546,8 @@ class Rules(struct.PyTreeNode, eq=False):
                 cell = support_map.index_of(placed[0], placed[1])
                 inside &= height < support_map.ceiling.reshape(-1)[cell]
         if self.config.overhang != "any":
-            inside &= ~self._is_beyond(episode, focus, settling)
+            is_beyond = self.reaches_beyond(episode, settling.poses)
+            inside &= ~jnp.any(self._is_ours(episode, focus) & is_beyond)
         verdict = _instead_of_stable(verdict, ~inside, Verdict.OUTSIDE)
         if self.config.most_stacked is not None:
             is_stacked = jnp.any(settling.bears & episode.is_placed)
@@ -566,17 +579,16 @@ class Rules(struct.PyTreeNode, eq=False):
         points = pose[None, :2] if is_center else box_corners(pose, half_extents)[:, :2]
         return jnp.all(is_in_polygon(points, self.polygon))
 
-    def _is_beyond(self, episode: Episode, focus: Array, settling: Settling) -> Array:
-        """Whether anything that this episode placed reaches too far beyond the support's edge; bool."""
+    def reaches_beyond(self, episode: Episode, poses: Array) -> Array:
+        """Which objects, at `poses` f32[K, 7], reach too far beyond the support's edge; bool[K]."""
         assert self.support_map is not None
         if episode.surface is None:
-            shares = shares_beyond(self.support_map, self.geometry, settling.poses)
+            shares = shares_beyond(self.support_map, self.geometry, poses)
         else:
-            on_one = partial(shares_beyond, geometry=self.geometry, poses=settling.poses)
+            on_one = partial(shares_beyond, geometry=self.geometry, poses=poses)
             each = jax.vmap(on_one)(self.support_map)
             shares = each[jnp.maximum(episode.surface, 0), jnp.arange(each.shape[1])]
-        is_beyond = shares > most_beyond(self.config.overhang)
-        return jnp.any(self._is_ours(episode, focus) & is_beyond)
+        return shares > most_beyond(self.config.overhang)
 
     def _is_ours(self, episode: Episode, focus: Array) -> Array:
         """bool[K]: what this episode placed, the focus object included."""
@@ -655,7 +667,7 @@ class Rules(struct.PyTreeNode, eq=False):
     def _take_apart(self, episode: Episode) -> Episode:
         """After failures: the episode is over, or some objects are taken away and come again."""
         config = self.config
-        is_over = self._is_spent(episode)
+        is_over = self.is_spent(episode)
         if not config.ruin_after:
             return episode.replace(is_over=is_over | (episode.attempt >= config.max_attempts))
         stays = episode.is_started
@@ -664,10 +676,10 @@ class Rules(struct.PyTreeNode, eq=False):
         which = choose_removal(episode, self.geometry, stays)
         ruined = remove(episode, which, self.geometry, self.related)
         # What could not be filled again within the budget is not worth taking apart.
-        is_ruined = (episode.attempt >= config.ruin_after) & ~self._is_spent(ruined)
+        is_ruined = (episode.attempt >= config.ruin_after) & ~self.is_spent(ruined)
         return choose(is_ruined, ruined, episode).replace(is_over=is_over)
 
-    def _is_spent(self, episode: Episode) -> Array:
+    def is_spent(self, episode: Episode) -> Array:
         """Whether the attempts that are left are fewer than the slots to fill, bool."""
         left = episode.num_slots - episode.slot
         return episode.counts.attempts.sum() + left > self.config.max_scene_attempts
@@ -688,9 +700,21 @@ class Rules(struct.PyTreeNode, eq=False):
         """What moved in the last check is taken away and comes again, if attempts are left."""
         moved = has_moved(standing.shift, standing.turn, self.physics.config)
         moved &= episode.is_placed & ~episode.is_started
-        fewer = remove(episode, moved, self.geometry, self.related)
-        key = _key_of_attempt(episode.key, 6, episode)
-        fewer = self._with_draws(fewer.replace(is_over=jnp.bool_(False)), key)
+        fewer = self.place_again(episode, moved, 6)
         is_crept = is_filled & (standing.verdict == Verdict.CREPT)
-        again = is_crept & jnp.any(moved) & ~self._is_spent(fewer)
+        again = is_crept & jnp.any(moved) & ~self.is_spent(fewer)
         return choose(again, fewer, episode)
+
+    def place_again(self, episode: Episode, which: Array, purpose: int) -> Episode:
+        """The episode without the objects `which`, bool[K], and what leans on them, which come again.
+
+        Args:
+          purpose: of the key with which the next object's surface and orientation are drawn.
+        """
+        fewer = remove(episode, which, self.geometry, self.related)
+        key = self.new_key(episode, purpose)
+        return self._with_draws(fewer.replace(is_over=jnp.bool_(False)), key)
+
+    def new_key(self, episode: Episode, purpose: int) -> Array:
+        """A key for a purpose, anew after every attempt."""
+        return _key_of_attempt(episode.key, purpose, episode)

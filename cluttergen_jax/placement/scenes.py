@@ -35,6 +35,8 @@ class SceneBatch(struct.PyTreeNode):
       level: i32[S], how many objects are below each slot's, one upon the other; -1 where not placed. This and
         the next are None where the episode does not keep what carries what.
       num_touching: i32, pairs of objects that touch.
+      num_beside: i32, pairs of objects that touch from the side, and num_leaning: i32, objects that lean;
+        None where neither was counted.
       shelf: i32, the number of the sampler's shelf that `object_index` is about; None where there is none.
     """
 
@@ -53,6 +55,8 @@ class SceneBatch(struct.PyTreeNode):
     level: Array | None = None
     num_touching: Array | None = None
     shelf: Array | None = None
+    num_beside: Array | None = None
+    num_leaning: Array | None = None
 
     def __repr__(self) -> str:
         # Arrays may be traced, or hold anything while a pytree is taken apart.
@@ -88,4 +92,6 @@ def scene_of(episode: Episode) -> SceneBatch:
         counts=episode.counts,
         level=jnp.where(is_placed, support_graph.level[jnp.maximum(index, 0)], -1),
         num_touching=support_graph.num_touching(episode.is_placed),
+        num_beside=episode.num_beside,
+        num_leaning=episode.num_leaning,
     )

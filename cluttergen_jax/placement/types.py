@@ -370,6 +370,8 @@ class Episode(struct.PyTreeNode):
       orientation: i32, of `Geometry.orientations`, that in which the current object is released next; None
         where all are released upright.
       roles: i32[Q], the objects of `Rules.related`'s roles; None where nothing is related.
+      num_beside: i32, pairs of objects that touch from the side, and num_leaning: i32, objects that lean, at
+        the end; None where neither is counted.
     """
 
     key: Array
@@ -391,6 +393,8 @@ class Episode(struct.PyTreeNode):
     orientation: Array | None = None
     roles: Array | None = None
     surface: Array | None = None
+    num_beside: Array | None = None
+    num_leaning: Array | None = None
 
     @property
     def safe_poses(self) -> Array:

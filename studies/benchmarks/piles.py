@@ -166,9 +166,16 @@ class BulletPiles:
         """See `NativePhysics`."""
         return self._plain
 
-    def stand_block(self, *arrays: np.ndarray) -> Standing:
-        """See `NativePhysics`."""
-        return self._plain.stand_batch(*arrays)
+    def stand_block(
+        self,
+        poses: np.ndarray,
+        is_placed: np.ndarray,
+        is_active: np.ndarray,
+        is_brief: bool = False,
+    ) -> Standing:
+        """See `NativePhysics`; nothing here is brief."""
+        assert not is_brief
+        return self._plain.stand_batch(poses, is_placed, is_active)
 
     def close(self) -> None:
         """Ends both."""

@@ -23,6 +23,11 @@ class PileSampler(BlockSampler, eq=False):
 
     is_whole: ClassVar[bool] = True
 
+    def begin(self, key: Array, indices: Array, is_wanted: Array) -> Episode:
+        """See `BlockSampler`; in a pile it is counted what touches from the side."""
+        episodes = super().begin(key, indices, is_wanted)
+        return episodes.replace(num_beside=jnp.zeros(len(indices), jnp.int32))
+
     def step_one(self, episode: Episode) -> tuple[Episode, Transition]:
         """See `BlockSampler`."""
         asking, *asked = self.ask(episode, jnp.bool_(True))
@@ -81,6 +86,7 @@ class PileSampler(BlockSampler, eq=False):
             is_success=is_stable,
             verdict=verdict.astype(jnp.int32),
             drift=jnp.where(is_filled, piling.drift, 0.0),
+            num_beside=jnp.where(is_filled, piling.num_beside, 0),
             support_graph=graph.replace(
                 leans_on=jnp.where(is_filled, piling.touches, graph.leans_on),
                 level=jnp.where(is_filled, piling.level, graph.level),

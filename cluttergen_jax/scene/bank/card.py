@@ -55,6 +55,8 @@ _COLUMNS = {
     "num_on": "objects that rest on another",
     "num_touching": "pairs of objects that touch",
     "num_in": "objects in others; null where nothing was asked to be in something",
+    "num_beside": "pairs of objects that touch from the side; null but for piles and crowds",
+    "num_leaning": "objects that lean; null but for crowds",
     "near": "metres, the mean over the objects of the gap in plan to the nearest other one, as boxes",
     "occlusion": "the mean share of an object that others hide from eight cameras 30 degrees up, as boxes",
     "seconds": "that the person who made the scene spent on it, pauses of more than a minute left out",

@@ -21,6 +21,8 @@ from cluttergen_jax.scene.bank.table import BY_HAND, CERTIFICATE, COUNTED, count
 from cluttergen_jax.types import Verdict, small_length
 
 _NEAR_ENOUGH = 0.1
+_SHARES = {"side": "num_beside", "lean": "num_leaning"}
+"""Of features that are told for each object of a scene: the column that counts them."""
 _WORDS = {
     "stack": "objects on others",
     "contained": "objects in others",
@@ -28,6 +30,8 @@ _WORDS = {
     "contacts": "pairs that touch",
     "near": "metres to the nearest other, mean",
     "occlusion": "share hidden, mean",
+    "side": "pairs that touch from the side, for each object",
+    "lean": "share of the objects that lean",
 }
 
 
@@ -182,6 +186,9 @@ def _values(rows: pa.Table, name: str) -> np.ndarray:
         lists = rows["levels"].drop_null().combine_chunks()
         levels = np.maximum(np.array(pc.list_flatten(lists)), 0)
         return np.bincount(np.array(pc.list_parent_indices(lists)), levels, len(lists))
+    if name in _SHARES:
+        known = rows.filter(pc.is_valid(rows[_SHARES[name]]))
+        return np.array(known[_SHARES[name]], float) / np.maximum(np.array(known["num_placed"]), 1)
     column = {"stack": "num_on", "contained": "num_in", "contacts": "num_touching"}.get(name, name)
     return np.array(rows[column].drop_null(), float)
 

@@ -56,10 +56,13 @@ CLUTTER = pa.schema(
         ("near", pa.float32()),
         ("occlusion", pa.float32()),
         ("num_in", pa.int32()),
+        ("num_beside", pa.int32()),
+        ("num_leaning", pa.int32()),
     ]
 )
 """How cluttered a scene is, of what is placed: null in banks of older versions; `num_in` wherever nothing is
-asked to be in something. `levels` has an entry per slot, -1 where nothing is placed."""
+asked to be in something; `num_beside` but for piles and crowds, `num_leaning` but for crowds. `levels` has an
+entry per slot, -1 where nothing is placed."""
 
 BY_HAND = pa.schema([("seconds", pa.float32())])
 """What banks made by hand have besides: the seconds that a person spent on the scene, pauses left out."""
@@ -249,7 +252,9 @@ def _stacking(scenes: SceneBatch, place: int, slots: np.ndarray) -> dict[str, ob
     if scenes.level is None or scenes.num_touching is None:
         return dict.fromkeys(("levels", "num_on", "num_touching"))
     levels = scenes.level[place][slots]
+    counted = {name: getattr(scenes, name) for name in ("num_beside", "num_leaning")}
     return {
+        **{name: None if each is None else int(each[place]) for name, each in counted.items()},
         "levels": levels.tolist(),
         "num_on": int((levels > 0).sum()),
         "num_touching": int(scenes.num_touching[place]),

@@ -1,0 +1,224 @@
+"""Crowds: objects that stand apart drawn together by a slow force, until they touch from the side.
+
+While they come together nothing has friction, and drag holds them slow: what is pushed then slides, and
+little tips. Friction is back before they are brought to rest. Where some are to lean, a stronger force
+draws them on with friction; what is held by its neighbours stays so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from cluttergen_jax.geometry import rotate
+from cluttergen_jax.physics.resting import RestRounds, Stage
+from cluttergen_jax.types import Verdict
+
+if TYPE_CHECKING:
+    from cluttergen_jax.physics.native import NativePhysics
+
+# Steps until the targets are looked at for the first time, between two looks, and at most.
+_FIRST_LOOK = 48
+_STRIDE = 12
+_MOST_STEPS = 300
+
+# m/s^2, and 1/s by which speeds and angular speeds decay: of objects that are drawn together; then pressed
+# gently for some steps, so that what is left of their overlaps is micrometres and what touches goes on to.
+_PULL = 2.0
+_DRAG = 8.0
+_TURNING_DRAG = 4.0
+_PRESS = 1.2
+_PRESS_DRAG = 30.0
+_PRESS_STEPS = 36
+
+# m/s^2, with friction: under it tall objects tip against their neighbours.
+_LEANING_PULL = 6.0
+_LEANING_DRAG = 2.0
+_LEANING_STEPS = 240
+
+# With friction and without a force: steps, and 1/s.
+_RELAX_STEPS = 36
+_RELAX_DRAG = 10.0
+
+# Metres from the middle of a group at which the force upon an object begins to fade.
+_NEAR = 0.02
+# Objects of a group, about.
+_GROUP = 10
+_ROUNDS = 4
+
+LEANS = math.radians(5)
+"""An object leans if it is tilted by more than this from how it was placed."""
+TIPS = math.radians(30)
+"""Where nothing is to lean, what is tilted by more than this has tipped over."""
+
+
+class CrowdRequest(NamedTuple):
+    """What is drawn together, for n scenes of K objects; T tries of each.
+
+    Attributes:
+      poses: f32[n, K, 7], where objects stand; is_placed: bool[n, K].
+      draws: f32[n, T, K], from 0 to 1: in each try the objects with the largest begin the groups.
+      region: f32[n, 9], its world pose and its half extents.
+      half_extents: f32[n, K, 3], of the objects' boxes, metres.
+      whole: f32[n], 1 where a box must lie in the region whole, 0 where its centre must.
+      side: f32[n], pairs that are to touch from the side, for each object.
+      lean: f32[n], share of the objects that are to lean.
+      may_tip: bool[n], what tips over may stay.
+    """
+
+    poses: np.ndarray
+    is_placed: np.ndarray
+    draws: np.ndarray
+    region: np.ndarray
+    half_extents: np.ndarray
+    whole: np.ndarray
+    side: np.ndarray
+    lean: np.ndarray
+    may_tip: np.ndarray
+
+
+class Crowder(RestRounds):
+    """One block of crowds while they are made.
+
+    Args:
+      engine: whose world it is.
+      asked: of the block.
+    """
+
+    def __init__(self, engine: NativePhysics, asked: CrowdRequest) -> None:
+        region = asked.region, asked.half_extents, asked.whole
+        super().__init__(engine, asked.is_placed, *region)
+        self.asked = asked
+        self._tries = np.zeros(len(asked.side), int)
+
+    @property
+    def first_round(self) -> Stage:
+        """See `RestRounds`: nothing that stands by itself has to be shaken."""
+        return super().first_round if self.asked.lean.any() else Stage.REST
+
+    def begin(self, rows: np.ndarray) -> None:
+        """Draws the objects of each scene together, from where they were placed."""
+        ids = np.arange(len(rows))
+        is_member = self.is_member[rows]
+        middles = self._middles(rows)
+        self.poses[rows] = self.asked.poses[rows]
+        sims = self.plain
+        sims.release(self.poses[rows], is_member, never_sleeps=is_member)
+        # Each further try is slower.
+        tries = self._tries[rows] + 1
+        with sims.no_friction(_DRAG, _TURNING_DRAG):
+            self._pull(rows, ids, middles, _PULL / tries, _MOST_STEPS, self._has_sides)
+        with sims.no_friction(_PRESS_DRAG, _PRESS_DRAG):
+            self._pull(rows, ids, middles, _PRESS / tries, _PRESS_STEPS)
+        if (leaning := np.flatnonzero(self.asked.lean[rows] > 0)).size:
+            with sims.lower_friction(1.0, _LEANING_DRAG, _LEANING_DRAG):
+                self._pull(rows, leaning, middles, _LEANING_PULL, _LEANING_STEPS, self._has_leaning)
+        sims.push(ids, np.zeros((*is_member.shape, 3)))
+        with sims.lower_friction(1.0, _RELAX_DRAG, _RELAX_DRAG):
+            self.advance(sims, rows, ids, _RELAX_STEPS)
+        self.rounds[rows] = 0
+        self.checks[rows] = 0
+        self.give_up_failed(rows, *self.take_poses(sims, rows, ids))
+        self.go_on(rows, self.first_round)
+
+    def _middles(self, rows: np.ndarray) -> np.ndarray:
+        """f64[m, K, 2]: the middle of each object's group, in plan: groups of objects near one another."""
+        place = self.asked.poses[rows, :, :2].astype(np.float64)
+        draws = self.asked.draws[rows, self._tries[rows]]
+        middles = np.zeros_like(place)
+        for row, is_member in enumerate(self.is_member[rows]):
+            members = np.flatnonzero(is_member)
+            own = place[row, members]
+            number = max(1, round(len(members) / _GROUP))
+            middle = own[np.argsort(-draws[row, members])[:number]]
+            group = np.zeros(len(members), int)
+            for _ in range(_ROUNDS):
+                group = np.linalg.norm(own[:, None] - middle, axis=-1).argmin(1)
+                middle = np.stack([own[group == each].mean(0) for each in range(number)])
+            middles[row, members] = middle[group]
+        return middles
+
+    def _pull(
+        self,
+        rows: np.ndarray,
+        ids: np.ndarray,
+        middles: np.ndarray,
+        strength: np.ndarray,
+        most_steps: int,
+        is_done: Callable[[int, int], bool] | None = None,
+    ) -> None:
+        """Draws objects towards the middles of their groups.
+
+        Args:
+          rows: scenes of all simulations; ids: the simulations that are meant.
+          strength: f[m], m/s^2 in each of the scenes.
+          is_done: of a scene and its simulation, whether it has enough; None to make all steps.
+        """
+        sims = self.plain
+        for step in range(0, most_steps, _STRIDE):
+            away = middles[ids] - sims.poses(ids)[..., :2]
+            distance = np.linalg.norm(away, axis=-1, keepdims=True)
+            pull = strength[ids, None, None] * away / np.maximum(distance, _NEAR)
+            pull = np.where(self.is_member[rows[ids], :, None], pull, 0.0)
+            sims.push(ids, np.concatenate([pull, np.zeros_like(pull[..., :1])], axis=-1))
+            self.advance(sims, rows[ids], ids, _STRIDE)
+            if is_done is None or step + _STRIDE < _FIRST_LOOK:
+                continue
+            has_enough = [is_done(row, each) for row, each in zip(rows[ids], ids, strict=True)]
+            ids = ids[~np.array(has_enough)]
+            if not ids.size:
+                break
+
+    def _has_sides(self, row: int, simulation: int) -> bool:
+        poses = self.plain.poses(np.array([simulation]))[0]
+        return self.num_beside(row, poses) >= self.asked.side[row] * self.is_member[row].sum()
+
+    def _has_leaning(self, row: int, simulation: int) -> bool:
+        poses = self.plain.poses(np.array([simulation]))
+        is_leaning = self._tilts(np.array([row]), poses)[0] > LEANS
+        return is_leaning.sum() >= self.asked.lean[row] * self.is_member[row].sum()
+
+    def _tilts(self, rows: np.ndarray, poses: np.ndarray) -> np.ndarray:
+        """f64[m, K]: radians between what was upwards of each object as it was placed, and upwards."""
+        placed = self.asked.poses[rows].astype(np.float64)
+        up = rotate(np, placed[..., 3:] * [1, -1, -1, -1], np.array([0.0, 0.0, 1.0]))
+        height = np.clip(rotate(np, poses[..., 3:], up)[..., 2], -1.0, 1.0)
+        return np.where(self.is_member[rows], np.arccos(height), 0.0)
+
+    def go_on(self, rows: np.ndarray, stage: Stage) -> None:
+        """See `RestRounds`; nor does a scene go on in which something tipped over that may not."""
+        rows = rows[self.stage[rows] != Stage.OVER]
+        has_tipped = (self._tilts(rows, self.poses[rows]) > TIPS).any(1) & ~self.asked.may_tip[rows]
+        self.give_up(rows[has_tipped], Verdict.DISPLACED)
+        super().go_on(rows[~has_tipped], stage)
+
+    def rest(self, rows: np.ndarray) -> None:
+        """See `RestRounds`: what is at rest already is judged at once."""
+        is_good = self.judge(rows, is_brief=True) == int(Verdict.STABLE)
+        self.result.verdict[rows[is_good]] = int(Verdict.STABLE)
+        self.stage[rows[is_good]] = Stage.OVER
+        if not is_good.all():
+            super().rest(rows[~is_good])
+
+    def begin_again(self, rows: np.ndarray, which: np.ndarray, verdict: np.ndarray) -> None:
+        """See `RestRounds`: in other groups, while tries are left (`renew`)."""
+        for row, each in zip(rows, verdict, strict=True):
+            self.give_up(np.array([row]), Verdict(int(each)))
+
+    def renew(self) -> None:
+        """See `RestRounds`: what was given up begins again in other groups, while tries are left."""
+        is_left = self._tries + 1 < self.asked.draws.shape[1]
+        is_failed = (self.stage == Stage.OVER) & (self.result.verdict != int(Verdict.STABLE))
+        is_due = is_failed & is_left
+        self._tries[is_due] += 1
+        self.stage[is_due] = Stage.BEGIN
+        self.result.verdict[is_due] = int(Verdict.NONE)
+
+    def look_at_rest(self) -> None:
+        """See `RestRounds`; and counts what leans."""
+        super().look_at_rest()
+        is_leaning = self._tilts(np.arange(len(self.poses)), self.poses) > LEANS
+        self.result.num_leaning[:] = is_leaning.sum(1)

@@ -1,0 +1,122 @@
+"""Crowds: what stands apart, once all of it is placed, drawn together until it touches.
+
+The engine draws the objects together, brings them to rest and makes the last check (`physics.crowds`). Here
+is what it is asked, and what the rules of places say of what came of it: few objects end where they were
+put, so that regions, boxes to keep out of, edges and relations are looked at again.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+
+from cluttergen_jax.placement.heightmap import map_below, on_map
+from cluttergen_jax.placement.region import is_inside, is_kept_out, safe_poses, to_pose
+from cluttergen_jax.placement.related import ON, holds_among
+from cluttergen_jax.placement.types import Episode, choose
+from cluttergen_jax.types import Array, Piling, Verdict
+
+if TYPE_CHECKING:
+    from cluttergen_jax.placement.rules import Rules
+
+TRIES = 3
+"""How often the engine begins anew, in other groups and more slowly, before it gives a scene up."""
+
+
+def ask(rules: Rules, episode: Episode, is_due: Array) -> tuple[Array, ...]:
+    """What `HostPhysics.crowd` is asked of a scene whose slots are all filled.
+
+    Args:
+      is_due: bool, whether it is to be drawn together now.
+    """
+    targets = rules.config.crowd_targets
+    assert targets is not None
+    side, lean = targets
+    num_objects = rules.geometry.num_objects
+    key = rules.new_key(episode, 7)
+    return (
+        episode.poses,
+        episode.is_placed,
+        jax.random.uniform(key, (TRIES, num_objects)),
+        jnp.append(to_pose(episode.region.T_world_region), episode.region.half_extents),
+        rules.geometry.half_extents,
+        jnp.float32(rules.config.containment == "footprint"),
+        jnp.float32(side),
+        jnp.float32(lean),
+        jnp.bool_(lean > 0 or rules.config.poses != "upright"),
+        is_due,
+    )
+
+
+def conclude(rules: Rules, episode: Episode, piling: Piling, is_due: Array) -> Episode:
+    """The episode after it was drawn together, where that was due; else as it is.
+
+    What lies where it may not is taken away, and comes again, while attempts are left.
+    """
+    is_well = _lies_well(rules, episode, piling)
+    is_related = _is_related(rules, episode, piling)
+    verdict = piling.verdict
+    for holds, other in ((jnp.all(is_well), Verdict.OUTSIDE), (is_related, Verdict.UNRELATED)):
+        verdict = jnp.where((verdict == Verdict.STABLE) & ~holds, int(other), verdict)
+    is_success = verdict == Verdict.STABLE
+    graph = episode.support_graph
+    counts = episode.counts
+    num_steps = piling.num_steps + piling.check_steps
+    after = episode.replace(
+        poses=jnp.where(is_success & episode.is_placed[:, None], piling.poses, episode.poses),
+        is_over=jnp.bool_(True),
+        is_success=is_success,
+        verdict=verdict.astype(jnp.int32),
+        drift=piling.drift,
+        num_beside=jnp.where(is_success, piling.num_beside, 0),
+        num_leaning=jnp.where(is_success, piling.num_leaning, 0),
+        support_graph=choose(
+            is_success, graph.replace(leans_on=piling.touches, level=piling.level), graph
+        ),
+        counts=counts.replace(simulated_steps=counts.simulated_steps + num_steps),
+    )
+    misplaced = jnp.where(verdict == Verdict.OUTSIDE, ~is_well, _has_role(episode))
+    again = rules.place_again(after, misplaced, 8)
+    is_again = ~is_success & ~rules.is_spent(again)
+    return choose(is_due, choose(is_again, again, after), episode)
+
+
+def _lies_well(rules: Rules, episode: Episode, piling: Piling) -> Array:
+    """bool[K]: what is not placed, or lies where it may."""
+    half = rules.geometry.half_extents
+
+    def lies_well(index: Array) -> Array:
+        pose = piling.poses[index]
+        placed = on_map(map_below(rules.geometry, episode.surface, index), pose)
+        is_well = is_inside(pose, half[index], episode.region, rules.config.containment)
+        is_well &= ~is_kept_out(placed, half[index], episode.keep_out)
+        return is_well & rules.is_in_polygon(placed, half[index])
+
+    is_well = jax.vmap(lies_well)(jnp.arange(rules.geometry.num_objects))
+    if rules.config.overhang != "any":
+        is_well &= ~rules.reaches_beyond(episode, piling.poses)
+    return is_well | ~episode.is_placed
+
+
+def _is_related(rules: Rules, episode: Episode, piling: Piling) -> Array:
+    """bool: whether all relations hold."""
+    if rules.related is None:
+        return jnp.bool_(True)
+    assert episode.roles is not None
+    poses = safe_poses(piling.poses, episode.is_placed)
+    subject, reference, is_table = rules.related.ends(episode.roles)
+    is_carried = piling.touches[subject, reference]
+    is_carried &= piling.level[subject] > piling.level[reference]
+    is_on = is_carried | is_table | (rules.related.kind != ON)
+    return jnp.all(is_on) & holds_among(
+        rules.related, episode.roles, rules.geometry, poses, episode.is_placed, episode.region
+    )
+
+
+def _has_role(episode: Episode) -> Array:
+    """bool[K]: the objects of relations; all that are placed where there are none."""
+    if episode.roles is None:
+        return episode.is_placed
+    return jnp.zeros_like(episode.is_placed).at[episode.roles].set(True)
