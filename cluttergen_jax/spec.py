@@ -193,7 +193,7 @@ class SceneSpec(PlacementRequest):
         if not given.
       crowd: how far the objects of a finished scene are drawn together: 0, they stay where they were placed;
         0.5, neighbours touch from the side, the same as clutter="side=0.9"; 1, a heap in which many lean, as
-        clutter="side=1.2,lean=0.4". Native engine only.
+        clutter="side=0.9,lean=0.4". Native engine only.
       method: who proposes poses: "guided", "spread", "drop", "clear", "random", or a policy trained for the
         pool: "policy", "beta_free", "normal", "open_loop" or "short_memory"; "packed": upright, side by side,
         on others only as many as `clutter` allows by stack; or "pile": all objects fall into a heap, in any

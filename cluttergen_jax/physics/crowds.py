@@ -14,30 +14,40 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from cluttergen_jax.geometry import rotate
-from cluttergen_jax.physics.resting import RestRounds, Stage
+from cluttergen_jax.physics.resting import RestRounds, Stage, reach_of
 from cluttergen_jax.types import Verdict
 
 if TYPE_CHECKING:
     from cluttergen_jax.physics.native import NativePhysics
 
-# Steps until the targets are looked at for the first time, between two looks, and at most.
+
+class Pull(NamedTuple):
+    """How objects are drawn together.
+
+    Attributes:
+      strength: m/s^2 towards the middle of a group.
+      height: of each object's half height, how far above its centre of mass.
+      drag, turning_drag: 1/s, by which speeds and angular speeds decay.
+      most_steps: until enough of them touch, or lean.
+    """
+
+    strength: float
+    height: float
+    drag: float
+    turning_drag: float
+    most_steps: int
+
+
+TOGETHER = Pull(strength=2.0, height=0.0, drag=8.0, turning_drag=4.0, most_steps=300)
+"""Without friction."""
+PRESS = Pull(strength=1.2, height=0.0, drag=30.0, turning_drag=30.0, most_steps=36)
+"""Without friction, all steps: overlaps become micrometres, and what touches goes on touching."""
+LEAN = Pull(strength=6.0, height=1.0, drag=2.0, turning_drag=2.0, most_steps=240)
+"""With friction: tall objects tip against their neighbours."""
+
+# Steps until the targets are looked at for the first time, and between two looks.
 _FIRST_LOOK = 48
 _STRIDE = 12
-_MOST_STEPS = 300
-
-# m/s^2, and 1/s by which speeds and angular speeds decay: of objects that are drawn together; then pressed
-# gently for some steps, so that what is left of their overlaps is micrometres and what touches goes on to.
-_PULL = 2.0
-_DRAG = 8.0
-_TURNING_DRAG = 4.0
-_PRESS = 1.2
-_PRESS_DRAG = 30.0
-_PRESS_STEPS = 36
-
-# m/s^2, with friction: under it tall objects tip against their neighbours.
-_LEANING_PULL = 6.0
-_LEANING_DRAG = 2.0
-_LEANING_STEPS = 240
 
 # With friction and without a force: steps, and 1/s.
 _RELAX_STEPS = 36
@@ -107,16 +117,15 @@ class Crowder(RestRounds):
         self.poses[rows] = self.asked.poses[rows]
         sims = self.plain
         sims.release(self.poses[rows], is_member, never_sleeps=is_member)
-        # Each further try is slower.
-        tries = self._tries[rows] + 1
-        with sims.no_friction(_DRAG, _TURNING_DRAG):
-            self._pull(rows, ids, middles, _PULL / tries, _MOST_STEPS, self._has_sides)
-        with sims.no_friction(_PRESS_DRAG, _PRESS_DRAG):
-            self._pull(rows, ids, middles, _PRESS / tries, _PRESS_STEPS)
+        with sims.no_friction(TOGETHER.drag, TOGETHER.turning_drag):
+            self._pull(rows, ids, middles, TOGETHER, self._has_sides)
+        with sims.no_friction(PRESS.drag, PRESS.turning_drag):
+            self._pull(rows, ids, middles, PRESS)
         if (leaning := np.flatnonzero(self.asked.lean[rows] > 0)).size:
-            with sims.lower_friction(1.0, _LEANING_DRAG, _LEANING_DRAG):
-                self._pull(rows, leaning, middles, _LEANING_PULL, _LEANING_STEPS, self._has_leaning)
-        sims.push(ids, np.zeros((*is_member.shape, 3)))
+            with sims.lower_friction(1.0, LEAN.drag, LEAN.turning_drag):
+                self._pull(rows, leaning, middles, LEAN, self._has_leaning)
+        nothing = np.zeros(is_member.shape)
+        sims.push(ids, np.zeros((*nothing.shape, 3)), nothing)
         with sims.lower_friction(1.0, _RELAX_DRAG, _RELAX_DRAG):
             self.advance(sims, rows, ids, _RELAX_STEPS)
         self.rounds[rows] = 0
@@ -137,7 +146,8 @@ class Crowder(RestRounds):
             group = np.zeros(len(members), int)
             for _ in range(_ROUNDS):
                 group = np.linalg.norm(own[:, None] - middle, axis=-1).argmin(1)
-                middle = np.stack([own[group == each].mean(0) for each in range(number)])
+                for each in np.unique(group):
+                    middle[each] = own[group == each].mean(0)
             middles[row, members] = middle[group]
         return middles
 
@@ -146,29 +156,30 @@ class Crowder(RestRounds):
         rows: np.ndarray,
         ids: np.ndarray,
         middles: np.ndarray,
-        strength: np.ndarray,
-        most_steps: int,
+        how: Pull,
         is_done: Callable[[int, int], bool] | None = None,
     ) -> None:
-        """Draws objects towards the middles of their groups.
+        """Draws objects towards the middles of their groups; each further try is slower.
 
         Args:
           rows: scenes of all simulations; ids: the simulations that are meant.
-          strength: f[m], m/s^2 in each of the scenes.
           is_done: of a scene and its simulation, whether it has enough; None to make all steps.
         """
         sims = self.plain
-        for step in range(0, most_steps, _STRIDE):
-            away = middles[ids] - sims.poses(ids)[..., :2]
+        for step in range(0, how.most_steps, _STRIDE):
+            poses = sims.poses(ids)
+            away = middles[ids] - poses[..., :2]
             distance = np.linalg.norm(away, axis=-1, keepdims=True)
-            pull = strength[ids, None, None] * away / np.maximum(distance, _NEAR)
+            strength = how.strength / (self._tries[rows[ids], None, None] + 1)
+            pull = strength * away / np.maximum(distance, _NEAR)
             pull = np.where(self.is_member[rows[ids], :, None], pull, 0.0)
-            sims.push(ids, np.concatenate([pull, np.zeros_like(pull[..., :1])], axis=-1))
+            lever = how.height * reach_of(poses[..., 3:], self.half_extents[rows[ids]])[..., 2]
+            sims.push(ids, np.concatenate([pull, np.zeros_like(pull[..., :1])], axis=-1), lever)
             self.advance(sims, rows[ids], ids, _STRIDE)
             if is_done is None or step + _STRIDE < _FIRST_LOOK:
                 continue
-            has_enough = [is_done(row, each) for row, each in zip(rows[ids], ids, strict=True)]
-            ids = ids[~np.array(has_enough)]
+            is_left = [not is_done(row, each) for row, each in zip(rows[ids], ids, strict=True)]
+            ids = ids[np.array(is_left)]
             if not ids.size:
                 break
 

@@ -102,7 +102,7 @@ class RestRounds:
         raise NotImplementedError
 
     @property
-    def firstround(self) -> Stage:
+    def first_round(self) -> Stage:
         """The stage after `begin`."""
         return Stage.SHAKE_OTHER if self.engine.config.both_detectors else Stage.SHAKE
 

@@ -173,14 +173,18 @@ class Simulations:
         damping = damping_of(self._batch.model, drag, turning_drag)
         return self._change({"geom_condim": 1, "dof_damping": damping, "opt.noslip_iterations": 0})
 
-    def push(self, ids: np.ndarray, acceleration: np.ndarray) -> None:
-        """From now on a force acts at the centre of mass of each object of the simulations `ids`.
+    def push(self, ids: np.ndarray, acceleration: np.ndarray, lever: np.ndarray) -> None:
+        """From now on a force acts on each object of the simulations `ids`, above its centre of mass.
 
         Args:
           acceleration: f[n, K, 3], m/s^2 that it gives an object alone, in the world frame.
+          lever: f[n, K], metres above the centre of mass at which it acts.
         """
         force = acceleration * self._batch.model.body_mass[self._body_index, None]
-        self._force[ids[:, None], self._body_index, :3] = force
+        torque = lever[..., None] * np.stack(
+            [-force[..., 1], force[..., 0], np.zeros_like(lever)], axis=-1
+        )
+        self._force[ids[:, None], self._body_index] = np.concatenate([force, torque], axis=-1)
 
     def loosen_contacts(self, friction: float) -> AbstractContextManager[None]:
         """Inside, friction is `friction` times as much, contacts are as soft as MuJoCo's default."""

@@ -204,11 +204,10 @@ class PlacementConfig(PlacementRequest):
         None where objects stay where they were placed.
         """
         if self.crowd:
-            # So many pairs hold a group together; more make it dense.
-            least = (self.num_objects - 1) / self.num_objects
-            dense = max(self.crowd - 0.5, 0.0)
-            side = min(1.8 * min(self.crowd, 0.5), least) + 0.6 * dense
-            return min(side, (self.num_objects - 1) / 2), 0.8 * dense
+            # So many pairs hold one group together.
+            most = (self.num_objects - 1) / self.num_objects
+            side = min(1.8 * min(self.crowd, 0.5), most)
+            return side, 0.8 * max(self.crowd - 0.5, 0.0)
         asked = {} if self.clutter is None else self.clutter.targets
         if not any(asked.get(name) for name in CROWDED):
             return None
