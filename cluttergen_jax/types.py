@@ -129,7 +129,8 @@ class Piling(struct.PyTreeNode):
       touches: bool[K, K], pairs of objects that touch; level: i32[K], 0 on the support alone, else one more
         than the highest of the objects that carry it and whose centre of mass is lower.
       num_beside: i32, pairs of objects that touch from the side; num_leaning: i32, objects that lean, counted
-        where objects were drawn together (`physics.crowds`).
+        where objects were drawn together (`physics.crowds`); is_left_out: bool[K], those that tipped over or
+        left the region meanwhile: the others stand without them.
     """
 
     verdict: Array
@@ -144,6 +145,7 @@ class Piling(struct.PyTreeNode):
     level: Array
     num_beside: Array
     num_leaning: Array
+    is_left_out: Array
 
 
 def small_length(metres: float) -> str:

@@ -38,10 +38,12 @@ class Pull(NamedTuple):
     most_steps: int
 
 
+_FRICTION = 0.3
+"""Of objects on one another, times as much as it is, while they slide: what is stacked stays so."""
 TOGETHER = Pull(strength=2.0, height=0.0, drag=8.0, turning_drag=4.0, most_steps=300)
-"""Without friction."""
+"""On a slippery support."""
 PRESS = Pull(strength=1.2, height=0.0, drag=30.0, turning_drag=30.0, most_steps=36)
-"""Without friction, all steps: overlaps become micrometres, and what touches goes on touching."""
+"""Likewise, all steps: overlaps become micrometres, and what touches goes on touching."""
 LEAN = Pull(strength=6.0, height=1.0, drag=2.0, turning_drag=2.0, most_steps=240)
 """With friction: tall objects tip against their neighbours."""
 
@@ -100,7 +102,7 @@ class Crowder(RestRounds):
 
     def __init__(self, engine: NativePhysics, asked: CrowdRequest) -> None:
         region = asked.region, asked.half_extents, asked.whole
-        super().__init__(engine, asked.is_placed, *region)
+        super().__init__(engine, asked.is_placed.copy(), *region)
         self.asked = asked
         self._tries = np.zeros(len(asked.side), int)
 
@@ -117,9 +119,9 @@ class Crowder(RestRounds):
         self.poses[rows] = self.asked.poses[rows]
         sims = self.plain
         sims.release(self.poses[rows], is_member, never_sleeps=is_member)
-        with sims.no_friction(TOGETHER.drag, TOGETHER.turning_drag):
+        with sims.slippery_support(_FRICTION, TOGETHER.drag, TOGETHER.turning_drag):
             self._pull(rows, ids, middles, TOGETHER, self._has_sides)
-        with sims.no_friction(PRESS.drag, PRESS.turning_drag):
+        with sims.slippery_support(_FRICTION, PRESS.drag, PRESS.turning_drag):
             self._pull(rows, ids, middles, PRESS)
         if (leaning := np.flatnonzero(self.asked.lean[rows] > 0)).size:
             with sims.lower_friction(1.0, LEAN.drag, LEAN.turning_drag):
@@ -200,11 +202,16 @@ class Crowder(RestRounds):
         return np.where(self.is_member[rows], np.arccos(height), 0.0)
 
     def go_on(self, rows: np.ndarray, stage: Stage) -> None:
-        """See `RestRounds`; nor does a scene go on in which something tipped over that may not."""
+        """See `RestRounds`; what tipped over, where it may not, is left out."""
         rows = rows[self.stage[rows] != Stage.OVER]
-        has_tipped = (self._tilts(rows, self.poses[rows]) > TIPS).any(1) & ~self.asked.may_tip[rows]
-        self.give_up(rows[has_tipped], Verdict.DISPLACED)
-        super().go_on(rows[~has_tipped], stage)
+        has_tipped = (self._tilts(rows, self.poses[rows]) > TIPS) & ~self.asked.may_tip[rows, None]
+        self._leave_out(rows, has_tipped)
+        super().go_on(rows, stage)
+
+    def _leave_out(self, rows: np.ndarray, which: np.ndarray) -> None:
+        """From now on the objects bool[m, K] are not in their scenes."""
+        self.result.is_left_out[rows] |= which
+        self.is_member[rows] &= ~which
 
     def rest(self, rows: np.ndarray) -> None:
         """See `RestRounds`: what is at rest already is judged at once."""
@@ -215,9 +222,10 @@ class Crowder(RestRounds):
             super().rest(rows[~is_good])
 
     def begin_again(self, rows: np.ndarray, which: np.ndarray, verdict: np.ndarray) -> None:
-        """See `RestRounds`: in other groups, while tries are left (`renew`)."""
-        for row, each in zip(rows, verdict, strict=True):
-            self.give_up(np.array([row]), Verdict(int(each)))
+        """See `RestRounds`: what lies outside is left out, and what does not come to rest begins again."""
+        is_outside = verdict != int(Verdict.UNSETTLED)
+        self._leave_out(rows[is_outside], which[is_outside])
+        self.give_up(rows[~is_outside], Verdict.UNSETTLED)
 
     def renew(self) -> None:
         """See `RestRounds`: what was given up begins again in other groups, while tries are left."""
@@ -227,6 +235,8 @@ class Crowder(RestRounds):
         self._tries[is_due] += 1
         self.stage[is_due] = Stage.BEGIN
         self.result.verdict[is_due] = int(Verdict.NONE)
+        self.result.is_left_out[is_due] = False
+        self.is_member[is_due] = self.asked.is_placed[is_due]
 
     def look_at_rest(self) -> None:
         """See `RestRounds`; and counts what leans."""

@@ -116,6 +116,7 @@ def empty_piling(xp: Any, batch: tuple[int, ...], num_objects: int) -> Piling:
         level=zeros(xp.int32, num_objects),
         num_beside=zeros(xp.int32),
         num_leaning=zeros(xp.int32),
+        is_left_out=zeros(xp.bool, num_objects),
     )
 
 

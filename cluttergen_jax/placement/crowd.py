@@ -53,33 +53,40 @@ def ask(rules: Rules, episode: Episode, is_due: Array) -> tuple[Array, ...]:
 def conclude(rules: Rules, episode: Episode, piling: Piling, is_due: Array) -> Episode:
     """The episode after it was drawn together, where that was due; else as it is.
 
-    What lies where it may not is taken away, and comes again, while attempts are left.
+    What tipped over or lies where it may not is taken away, and comes again, while attempts are left.
     """
-    is_well = _lies_well(rules, episode, piling)
+    stays = episode.is_placed & ~piling.is_left_out
+    is_well = _lies_well(rules, episode, piling) | ~stays
     is_related = _is_related(rules, episode, piling)
     verdict = piling.verdict
-    for holds, other in ((jnp.all(is_well), Verdict.OUTSIDE), (is_related, Verdict.UNRELATED)):
+    complaints = (
+        (jnp.all(is_well) & ~jnp.any(piling.is_left_out), Verdict.OUTSIDE),
+        (is_related, Verdict.UNRELATED),
+    )
+    for holds, other in complaints:
         verdict = jnp.where((verdict == Verdict.STABLE) & ~holds, int(other), verdict)
+    stands = piling.verdict == Verdict.STABLE
     is_success = verdict == Verdict.STABLE
     graph = episode.support_graph
+    level = piling.level
+    # What touches from the side does not lean.
+    crowded = graph.replace(leans_on=piling.touches & (level[:, None] > level), level=level)
     counts = episode.counts
     num_steps = piling.num_steps + piling.check_steps
     after = episode.replace(
-        poses=jnp.where(is_success & episode.is_placed[:, None], piling.poses, episode.poses),
+        poses=jnp.where((stands & stays)[:, None], piling.poses, episode.poses),
         is_over=jnp.bool_(True),
         is_success=is_success,
         verdict=verdict.astype(jnp.int32),
         drift=piling.drift,
         num_beside=jnp.where(is_success, piling.num_beside, 0),
         num_leaning=jnp.where(is_success, piling.num_leaning, 0),
-        support_graph=choose(
-            is_success, graph.replace(leans_on=piling.touches, level=piling.level), graph
-        ),
+        support_graph=choose(stands, crowded, graph),
         counts=counts.replace(simulated_steps=counts.simulated_steps + num_steps),
     )
-    misplaced = jnp.where(verdict == Verdict.OUTSIDE, ~is_well, _has_role(episode))
-    again = rules.place_again(after, misplaced, 8)
-    is_again = ~is_success & ~rules.is_spent(again)
+    misplaced = jnp.where(verdict == Verdict.UNRELATED, _has_role(episode), ~is_well)
+    again = rules.place_again(after, misplaced | piling.is_left_out, 8)
+    is_again = stands & ~is_success & ~rules.is_spent(again)
     return choose(is_due, choose(is_again, again, after), episode)
 
 
