@@ -38,10 +38,8 @@ class Pull(NamedTuple):
     most_steps: int
 
 
-_FRICTION = 0.3
-"""Of objects on one another, times as much as it is, while they slide: what is stacked stays so."""
 TOGETHER = Pull(strength=2.0, height=0.0, drag=8.0, turning_drag=4.0, most_steps=300)
-"""On a slippery support."""
+"""Without friction, of which each step costs half."""
 PRESS = Pull(strength=1.2, height=0.0, drag=30.0, turning_drag=30.0, most_steps=36)
 """Likewise, all steps: overlaps become micrometres, and what touches goes on touching."""
 LEAN = Pull(strength=6.0, height=1.0, drag=2.0, turning_drag=2.0, most_steps=240)
@@ -54,6 +52,9 @@ _STRIDE = 12
 # With friction and without a force: steps, and 1/s.
 _RELAX_STEPS = 36
 _RELAX_DRAG = 10.0
+
+# Rounds of rest after which what still moves is left out.
+_MAX_ROUNDS = 2
 
 # Metres from the middle of a group at which the force upon an object begins to fade.
 _NEAR = 0.02
@@ -104,6 +105,7 @@ class Crowder(RestRounds):
         region = asked.region, asked.half_extents, asked.whole
         super().__init__(engine, asked.is_placed.copy(), *region)
         self.asked = asked
+        self.max_rounds = _MAX_ROUNDS
         self._tries = np.zeros(len(asked.side), int)
 
     @property
@@ -119,9 +121,9 @@ class Crowder(RestRounds):
         self.poses[rows] = self.asked.poses[rows]
         sims = self.plain
         sims.release(self.poses[rows], is_member, never_sleeps=is_member)
-        with sims.slippery_support(_FRICTION, TOGETHER.drag, TOGETHER.turning_drag):
+        with sims.no_friction(TOGETHER.drag, TOGETHER.turning_drag):
             self._pull(rows, ids, middles, TOGETHER, self._has_sides)
-        with sims.slippery_support(_FRICTION, PRESS.drag, PRESS.turning_drag):
+        with sims.no_friction(PRESS.drag, PRESS.turning_drag):
             self._pull(rows, ids, middles, PRESS)
         if (leaning := np.flatnonzero(self.asked.lean[rows] > 0)).size:
             with sims.lower_friction(1.0, LEAN.drag, LEAN.turning_drag):
@@ -222,10 +224,9 @@ class Crowder(RestRounds):
             super().rest(rows[~is_good])
 
     def begin_again(self, rows: np.ndarray, which: np.ndarray, verdict: np.ndarray) -> None:
-        """See `RestRounds`: what lies outside is left out, and what does not come to rest begins again."""
-        is_outside = verdict != int(Verdict.UNSETTLED)
-        self._leave_out(rows[is_outside], which[is_outside])
-        self.give_up(rows[~is_outside], Verdict.UNSETTLED)
+        """See `RestRounds`: what lies outside, or does not come to rest, is left out."""
+        self._leave_out(rows, which)
+        self.rounds[rows] = 0
 
     def renew(self) -> None:
         """See `RestRounds`: what was given up begins again in other groups, while tries are left."""

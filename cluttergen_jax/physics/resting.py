@@ -33,8 +33,8 @@ REST = 240
 REST_SHIFT = 0.0005
 REST_TURN = math.radians(0.5)
 
-# Rounds of rest since the last release after which what still moves is let fall again; and last checks after
-# which a pile is given up.
+# Rounds of rest since a scene began after which what still moves begins again; and last checks after which it
+# is given up.
 MAX_ROUNDS = 4
 MAX_CHECKS = 3
 
@@ -85,6 +85,7 @@ class RestRounds:
         self.poses = np.tile(engine.layout.parked, (num, 1, 1))
         self.stage = np.full(num, int(Stage.BEGIN))
         self.rounds = np.zeros(num, int)
+        self.max_rounds = MAX_ROUNDS
         self.checks = np.zeros(num, int)
         self.latest = np.zeros(num, int)
 
@@ -161,7 +162,7 @@ class RestRounds:
         self.rounds[rows] += 1
         is_moving = self._moves(rows, start, REST_SHIFT, REST_TURN)
         self.go_on(rows[~is_moving.any(1)], Stage.CHECK)
-        is_late = is_moving.any(1) & (self.rounds[rows] >= MAX_ROUNDS)
+        is_late = is_moving.any(1) & (self.rounds[rows] >= self.max_rounds)
         is_late &= self.stage[rows] == Stage.REST
         unsettled = np.full(is_late.sum(), Verdict.UNSETTLED)
         self.begin_again(rows[is_late], is_moving[is_late], unsettled)

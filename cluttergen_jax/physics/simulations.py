@@ -84,7 +84,6 @@ class Simulations:
         self._qvel = self._batch.bind("qvel")
         self._force = self._batch.bind("xfrc_applied")
         self._body_index = layout.body_index
-        self._is_support = layout.geom_object == layout.num_objects
         self._raised = np.zeros(size, bool)
 
     def release(
@@ -165,26 +164,14 @@ class Simulations:
             }
         )
 
-    def slippery_support(
-        self, friction: float, drag: float, turning_drag: float
-    ) -> AbstractContextManager[None]:
-        """Inside, objects slide on the support without friction, and motion decays; then all is as it was.
+    def no_friction(self, drag: float, turning_drag: float) -> AbstractContextManager[None]:
+        """Inside, nothing has friction, and motion decays; then all is as it was.
 
         Args:
-          friction: of objects on one another, times as much as it was.
           drag, turning_drag: 1/s, by which speeds and angular speeds decay.
         """
-        model = self._batch.model
-        return self._change(
-            {
-                # Of two geoms the one of higher priority says what their contact is like.
-                "geom_priority": model.geom_priority + self._is_support,
-                "geom_condim": np.where(self._is_support, 1, model.geom_condim),
-                "geom_friction": friction * model.geom_friction,
-                "dof_damping": damping_of(model, drag, turning_drag),
-                "opt.noslip_iterations": 0,
-            }
-        )
+        damping = damping_of(self._batch.model, drag, turning_drag)
+        return self._change({"geom_condim": 1, "dof_damping": damping, "opt.noslip_iterations": 0})
 
     def push(self, ids: np.ndarray, acceleration: np.ndarray, lever: np.ndarray) -> None:
         """From now on a force acts on each object of the simulations `ids`, above its centre of mass.
