@@ -17,6 +17,7 @@ from cluttergen_jax.config import (
     Balance,
     ContactConfig,
     Containment,
+    DoorState,
     Engine,
     Height,
     Method,
@@ -110,6 +111,7 @@ class SceneOptions(TypedDict, total=False):
     relations: Sequence[str]
     roles: str | Mapping[str, str]
     clearance: float | None
+    doors: DoorState | None
     method: Method | OwnProposer | str | None
     checkpoint: str | Path | None
     engine: Engine
@@ -187,6 +189,10 @@ class SceneSpec(PlacementRequest):
         `objects`: "plate_1=plate*; plate_2=plate*". In Python also a mapping.
       clearance: metres between the boxes of objects, and to the region's sides, that "packed" leaves; 0.003
         if not given.
+      doors: "closed": doors and drawers of the support stand open while objects are placed, and are closed
+        then; a scene succeeds if they close, to within 1 degree or 2 mm, and all objects stand undisturbed.
+        "open": they stay as they stand. If not given: those that `import --support` opened to look behind
+        them are closed.
       method: who proposes poses: "guided", "spread", "drop", "clear", "random", or a policy trained for the
         pool: "policy", "beta_free", "normal", "open_loop" or "short_memory"; "packed": upright, side by side,
         on others only as many as `clutter` allows by stack; or "pile": all objects fall into a heap, in any
@@ -457,6 +463,7 @@ class SceneSpec(PlacementRequest):
           ConfigError: more objects are asked for than there are, or there is no such engine.
           PoolError: there is no such pool or support.
         """
+        from cluttergen_jax.assets.doors import are_to_be_closed
         from cluttergen_jax.assets.facts import chosen_names, is_plain_name
         from cluttergen_jax.assets.pool import find_pool
         from cluttergen_jax.assets.support import parse_polygon, parse_region, parse_surfaces
@@ -511,6 +518,8 @@ class SceneSpec(PlacementRequest):
             clutter = None if self.clutter is None else Clutter.of(self.clutter)
             stack = None if clutter is None else clutter.stack
             decided["most_stacked"] = math.ceil(stack or 0)
+        if self.doors is None and are_to_be_closed(find_support(self.support)):
+            decided["doors"] = "closed"
         placement = self._placement(num_objects, decided)
         engine: Engine = "native" if entry.is_whole else self.engine
         has_two_detectors = engine_of(engine, stability) == "native"

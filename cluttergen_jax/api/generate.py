@@ -23,7 +23,9 @@ MAX_SCENES = 2_000_000_000
 _MOST = 2**32 - 1
 _PERSON = "where a person places"
 _NOT_BY_HAND = {
-    **dict.fromkeys(("method", "checkpoint", "height", "poses", *TARGETS, "clearance"), _PERSON),
+    **dict.fromkeys(
+        ("method", "checkpoint", "height", "poses", *TARGETS, "clearance", "doors"), _PERSON
+    ),
     **dict.fromkeys(
         ("order", "max_attempts", "ruin_after", "budget"), f"{_PERSON}, as often as wanted"
     ),

@@ -119,10 +119,11 @@ def write_bank(
         recipe,
         num_scenes,
         names,
-        problem.world.support,
+        problem.world.finished_support,
         overwrite,
         bits=bits,
         allow_other_bits=allow_other_bits,
+        open_support=None if problem.world.doors is None else problem.world.support,
     ) as writer:
         for note in notes:
             print(note, file=sys.stderr, flush=True)
@@ -260,7 +261,10 @@ def _rows(
     _give_back_memory()
     geometry = problem.rules.geometry
     half_extents = np.asarray(geometry.half_extents)
-    return table_of(indices, scenes, problem.world.names, half_extents, numbers, geometry.hollows)
+    world = problem.world
+    return table_of(
+        indices, scenes, world.names, half_extents, numbers, geometry.hollows, world.doors
+    )
 
 
 def _give_back_memory() -> None:

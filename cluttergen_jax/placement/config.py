@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, fields
 from numbers import Integral, Real
 from typing import TYPE_CHECKING, get_args
 
-from cluttergen_jax.config import Containment, Height, Order, Overhang, Poses, Reward
+from cluttergen_jax.config import Containment, DoorState, Height, Order, Overhang, Poses, Reward
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.placement.relations import conditions_of, parse_relations, parse_roles
@@ -49,6 +49,7 @@ _WORDS = {
     "overhang": get_args(Overhang),
     "height": get_args(Height),
     "poses": get_args(Poses),
+    "doors": get_args(DoorState),
 }
 """What settings of words allow."""
 
@@ -76,6 +77,7 @@ class PlacementRequest:
     relations: Sequence[str] = ()
     roles: str | Mapping[str, str] | tuple[tuple[str, str], ...] = ""
     clearance: float | None = None
+    doors: DoorState | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,7 +152,7 @@ class PlacementConfig(PlacementRequest):
             )
         for name, allowed in _WORDS.items():
             value = getattr(self, name)
-            if value not in allowed:
+            if value not in allowed and not (name == "doors" and value is None):
                 raise ConfigError(
                     f"{name} = {value!r}",
                     ", ".join(allowed),

@@ -7,7 +7,7 @@ import jaxlie
 from flax import struct
 
 from cluttergen_jax.placement.region import Region, from_pose, safe_poses
-from cluttergen_jax.placement.types import Counts, Episode
+from cluttergen_jax.placement.types import Counts, DoorRecord, Episode
 from cluttergen_jax.types import Array
 
 BLOCK_SIZE = 256
@@ -36,6 +36,7 @@ class SceneBatch(struct.PyTreeNode):
         the next are None where the episode does not keep what carries what.
       num_touching: i32, pairs of objects that touch.
       shelf: i32, the number of the sampler's shelf that `object_index` is about; None where there is none.
+      doors: what closing them came to; None where none are closed.
     """
 
     object_index: Array
@@ -53,6 +54,7 @@ class SceneBatch(struct.PyTreeNode):
     level: Array | None = None
     num_touching: Array | None = None
     shelf: Array | None = None
+    doors: DoorRecord | None = None
 
     def __repr__(self) -> str:
         # Arrays may be traced, or hold anything while a pytree is taken apart.
@@ -88,4 +90,5 @@ def scene_of(episode: Episode) -> SceneBatch:
         counts=episode.counts,
         level=jnp.where(is_placed, support_graph.level[jnp.maximum(index, 0)], -1),
         num_touching=support_graph.num_touching(episode.is_placed),
+        doors=episode.doors,
     )

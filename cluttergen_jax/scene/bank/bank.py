@@ -27,6 +27,7 @@ import pyarrow.compute as pc
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash, read_object
+from cluttergen_jax.assets.doors import with_joints_at
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.assets.support_file import read_support, support_hash
 from cluttergen_jax.bank_reader import RowDigests
@@ -206,6 +207,22 @@ class Bank:
             support = read_support(inside(self.path, "assets/support"))
         self._check_asset("support", support_hash(support), self.assets["support"])
         return support
+
+    @cached_property
+    def open_support(self) -> SupportAsset:
+        """The table as objects were placed on it: with its doors open where its scenes close them."""
+        if "support_open" not in self.assets:
+            return self.support
+        with _mended_by_generate():
+            support = read_support(inside(self.path, "assets/support_open"))
+        self._check_asset("support", support_hash(support), self.assets["support_open"])
+        return support
+
+    def support_of(self, row: BankRow) -> SupportAsset:
+        """The table with its joints where a scene has them: of one that failed a door may stand open."""
+        if row.joints is None or row.is_success:
+            return self.support
+        return with_joints_at(self.open_support, dict(enumerate(row.joints)))
 
     @property
     def assets(self) -> AssetDigests:
