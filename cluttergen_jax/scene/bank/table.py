@@ -271,8 +271,9 @@ def _closing(
     record = scenes.doors
     assert record is not None
     values = [joint.value for joint in doors.open.joints]
+    is_closed = bool(scenes.is_success[place])
     for number, travel in zip(doors.numbers, record.travel[place].tolist(), strict=True):
-        values[number] += travel
+        values[number] = doors.closed.joints[number].value if is_closed else values[number] + travel
     hit = int(record.hit[place])
     return {
         "joints": values,
