@@ -343,8 +343,8 @@ def closed_value(joint: Joint, name: str = "") -> float:
     """
     if joint.range is None:
         raise ConfigError(
-            f"door {joint.name!r} of support {name!r}, whose file states no limits: where it is closed is not "
-            "known",
+            f"door {joint.name!r} of support {name!r}, whose file states no limits, so that it is not "
+            "known where it is closed",
             "doors and drawers with limits",
             "doors='open', or limits in its file",
         )

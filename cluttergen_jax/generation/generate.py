@@ -156,7 +156,7 @@ def write_bank(
         record,
         notes=notes,
         summary=summary,
-        advice=_advice(method.name, totals.success / totals.scenes),
+        advice=_advice(method.name, totals),
         files_written=written,
     )
 
@@ -176,11 +176,14 @@ def run_blocks(
     return sum(rows for _, rows in missing)
 
 
-def _advice(method: str, success: float) -> str:
+def _advice(method: str, totals: Totals) -> str:
     """What to try where few scenes succeed; nothing where most do."""
-    if success >= _FEW:
+    if totals.success >= _FEW * totals.scenes:
         return ""
     better = _ROOM if method == DEFAULT_METHOD else f"method={DEFAULT_METHOD!r}"
+    if totals.hits:
+        (text, _), *_ = totals.hits.most_common(1)
+        better = f"overhang='none', as {text}; smaller objects, fewer of them, or doors='open'"
     return f"advice     few scenes succeed with {method} here; try {better}"
 
 

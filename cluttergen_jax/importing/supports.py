@@ -215,8 +215,8 @@ def support_with_notes(shape: Shape, closed: Shape | None = None) -> tuple[Suppo
       closed: the same with its doors closed, where they are open in `shape`.
 
     Returns:
-      The support on the floor, its bounding box (of `closed`, if given) centred on the z axis; and in words what is no surface of it
-      and what does not collide.
+      The support on the floor, its bounding box (of `closed`, if given) centred on the z axis; and in words
+      what is no surface of it and what does not collide.
 
     Raises:
       AssetError: nothing level of at least 10 cm x 10 cm that is open to the sky, and no other surface.

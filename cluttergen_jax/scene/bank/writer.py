@@ -101,7 +101,7 @@ class BankWriter:
         self._allows_other_bits = allow_other_bits
         self._find = objects if callable(objects) else None
         self._assets: dict[str, ObjectAsset] = {} if callable(objects) else dict(objects)
-        hashes = {
+        hashes: dict[str, Any] = {
             "objects": {name: object_hash(asset) for name, asset in self._assets.items()},
             "support": support_hash(support),
         }
@@ -309,7 +309,7 @@ class BankWriter:
 
     def _store_assets(self, supports: Mapping[str, SupportAsset]) -> None:
         """Writes what is missing, damaged, or of no known digest; the index then tells what is there."""
-        hashes = self._record["assets"]
+        hashes: Mapping[str, Any] = self._record["assets"]
         for name in hashes["objects"]:
             self._store_object(name)
         for name, support in supports.items():
