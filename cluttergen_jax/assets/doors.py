@@ -5,6 +5,7 @@ Joints move by the product of exponentials, with the support as it stands as the
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -28,6 +29,12 @@ from cluttergen_jax.geometry import rotate_in_plane
 
 _HAIR = 1e-6
 """Radians and metres: doors that are nearer to closed are closed."""
+WIDEST = math.radians(100)
+"""Radians by which a hinge is opened at most."""
+_LEAST = (math.radians(20), 0.05)
+"""Radians and metres: what moves less is no door and no drawer."""
+_ENDLESS = 100.0
+"""Radians or metres: files state such limits where they mean none."""
 _UPRIGHT = 1 - 1e-9
 # Of a region: shares of its half extents at which it is looked what is below, and how deep, metres.
 _SHARES = np.stack(np.meshgrid(*[np.linspace(-0.8, 0.8, 5)] * 2), -1).reshape(-1, 2)
@@ -332,6 +339,31 @@ def are_to_be_closed(support: SupportAsset) -> bool:
     )
 
 
+def are_closed(support: SupportAsset) -> bool:
+    """Whether doors of a support were opened to place objects behind them, and are closed now."""
+    known = [joint for joint in support.joints if joint.closed is not None]
+    return bool(known) and not are_to_be_closed(support)
+
+
+def with_doors_open(support: SupportAsset) -> SupportAsset:
+    """A support with all doors open that scenes close.
+
+    Raises:
+      ConfigError: it has none.
+    """
+    values = {}
+    for number, joint in enumerate(support.joints):
+        if joint.closed is not None and (value := opened_value(joint)) is not None:
+            values[number] = value
+    if not values:
+        raise ConfigError(
+            f"doors = 'open' of support {support.name!r}, which has none that scenes close",
+            "scenes that were made with doors closed",
+            "leaving doors out",
+        )
+    return with_joints_at(support, values)
+
+
 def closed_value(joint: Joint, name: str = "") -> float:
     """Where a joint is closed: at the zero of its file, or at the limit nearest to it.
 
@@ -349,3 +381,25 @@ def closed_value(joint: Joint, name: str = "") -> float:
             "doors='open', or limits in its file",
         )
     return min(max(0.0, joint.range[0]), joint.range[1])
+
+
+def is_endless(joint: Joint) -> bool:
+    """Whether nothing limits a joint."""
+    return joint.range is None or max(map(abs, joint.range)) > _ENDLESS
+
+
+def opened_value(joint: Joint) -> float | None:
+    """Where a joint is open: as far as it goes from where it is closed, a hinge by `WIDEST` at most.
+
+    None where its file states no limits, or it hardly moves.
+    """
+    if is_endless(joint) or joint.range is None:
+        return None
+    low, high = joint.range
+    start = joint.value if joint.closed is None else joint.closed
+    end = high if high - start >= start - low else low
+    travel = end - start
+    if joint.kind == "hinge":
+        travel = math.copysign(min(abs(travel), WIDEST), travel)
+    least = _LEAST[joint.kind == "slide"]
+    return start + travel if abs(travel) >= least else None

@@ -15,41 +15,24 @@ from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.cloud import sample_surface
 from cluttergen_jax.assets.door_sweep import check_empty
-from cluttergen_jax.assets.doors import Doors, carriers_of, moves_of
+from cluttergen_jax.assets.doors import (
+    Doors,
+    carriers_of,
+    is_endless,
+    moves_of,
+    opened_value,
+)
 from cluttergen_jax.assets.mesh import join_meshes
-from cluttergen_jax.assets.shape import Joint, Shape
+from cluttergen_jax.assets.shape import Shape
 from cluttergen_jax.assets.support import SupportAsset, Surface
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.importing.furniture import find_surfaces
 
-WIDEST = math.radians(100)
-"""Radians by which a hinge is opened at most."""
-_LEAST = (math.radians(20), 0.05)
-"""Radians and metres: what moves less is no door and no drawer."""
-_ENDLESS = 100.0
-"""Radians or metres: files state such limits where they mean none."""
 _MOST_JOINTS = 12
 """Of furniture with more, all that open are opened, without a look at each."""
 _SAMPLES = 2048
 _SAME_HEIGHT = 0.01
 _UPRIGHT = math.cos(math.radians(1))
-
-
-def _is_endless(joint: Joint) -> bool:
-    return joint.range is None or max(map(abs, joint.range)) > _ENDLESS
-
-
-def opened_value(joint: Joint) -> float | None:
-    """Where a joint is open: as far as it goes; None where its file states no limits, or it hardly moves."""
-    if _is_endless(joint) or joint.range is None:
-        return None
-    low, high = joint.range
-    end = high if high - joint.value >= joint.value - low else low
-    travel = end - joint.value
-    if joint.kind == "hinge":
-        travel = math.copysign(min(abs(travel), WIDEST), travel)
-    least = _LEAST[joint.kind == "slide"]
-    return joint.value + travel if abs(travel) >= least else None
 
 
 def with_joints_moved(shape: Shape, values: Mapping[int, float]) -> Shape:
@@ -117,7 +100,7 @@ def open_compartments(shape: Shape) -> tuple[Shape, list[str]]:
         for number, joint in enumerate(shape.joints)
         if (value := opened_value(joint)) is not None
     }
-    endless = [repr(joint.name) for joint in shape.joints if _is_endless(joint)]
+    endless = [repr(joint.name) for joint in shape.joints if is_endless(joint)]
     notes = []
     if endless:
         notes = [f"not opened, as its file states no limits: {', '.join(endless)}"]

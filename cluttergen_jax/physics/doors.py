@@ -64,43 +64,25 @@ class CarryingSurface(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class DoorLayout:
-    """What an engine knows of D doors that close.
+class Carriage:
+    """How what stands on D doors and drawers moves with them.
 
     Attributes:
-      names: of their joints; is_turning: bool[D], hinges.
-      travel: f64[D], from open to closed, radians or metres.
-      reach: f64[D], metres from a hinge's axis to the farthest point that it moves; 1 for what slides.
-      moves: f64[..., D, 4, 4], from where each stands open to where it is after a travel of f64[..., D].
-      surfaces: of the support, with the doors open.
-      closed: the world with the doors closed, its objects as those of the open one.
-      compile_moving: compiles the world with doors that move, their joints behind the objects', and an
-        actuator for each; bodies: the names of the doors' bodies in it.
+      moves: f64[..., D, 4, 4], from where each stands to where it is after a travel of f64[..., D].
+      surfaces: of the support, before anything has moved.
     """
 
-    names: tuple[str, ...]
-    is_turning: np.ndarray
-    travel: np.ndarray
-    reach: np.ndarray
     moves: Callable[[np.ndarray], np.ndarray]
     surfaces: tuple[CarryingSurface, ...]
-    closed: Layout
-    compile_moving: Callable[[], mujoco.MjModel]
-    bodies: tuple[str, ...]
 
-    @property
-    def tolerance(self) -> np.ndarray:
-        """f64[D], radians or metres by which a closed door may be off."""
-        return np.where(self.is_turning, CLOSED_TURN, CLOSED_SHIFT)
-
-    def carriers(self, poses: np.ndarray) -> np.ndarray:
+    def carriers(self, poses: np.ndarray, center_of_mass: np.ndarray) -> np.ndarray:
         """i[..., K]: the door that carries each object, -1 for none: that of the surface next below it.
 
         Args:
-          poses: f[..., K, 7], with the doors open.
+          poses: f[..., K, 7], before anything has moved; center_of_mass: f[K, 3], object frames, metres.
         """
         center = poses[..., :3] + rotate(
-            np, poses[..., 3:], np.broadcast_to(self.closed.center_of_mass, poses[..., :3].shape)
+            np, poses[..., 3:], np.broadcast_to(center_of_mass, poses[..., :3].shape)
         )
         carrier = np.full(poses.shape[:-1], -1)
         nearest = np.full(poses.shape[:-1], np.inf)
@@ -119,7 +101,7 @@ class DoorLayout:
 
         Args:
           carriers: i[..., K]; travel: f64[..., D].
-          back: the other way round, from where doors have moved to where they stand open.
+          back: the other way round, from where doors have moved to where they stood.
         """
         moved = poses.astype(np.float64)
         T = self.moves(travel)
@@ -132,6 +114,39 @@ class DoorLayout:
             there = np.concatenate([position, product(turn, poses[..., 3:])], axis=-1)
             moved = np.where((carriers == door)[..., None], there, moved)
         return moved
+
+
+@dataclass(frozen=True, eq=False)
+class DoorLayout:
+    """What an engine knows of D doors that close.
+
+    Attributes:
+      names: of their joints; is_turning: bool[D], hinges.
+      travel: f64[D], from open to closed, radians or metres.
+      reach: f64[D], metres from a hinge's axis to the farthest point that it moves; 1 for what slides.
+      carriage: how what is in them moves with them.
+      closed: the world with the doors closed, its objects as those of the open one.
+      compile_moving: compiles the world with doors that move, their joints behind the objects', and an
+        actuator for each; bodies: the names of the doors' bodies in it.
+    """
+
+    names: tuple[str, ...]
+    is_turning: np.ndarray
+    travel: np.ndarray
+    reach: np.ndarray
+    carriage: Carriage
+    closed: Layout
+    compile_moving: Callable[[], mujoco.MjModel]
+    bodies: tuple[str, ...]
+
+    @property
+    def tolerance(self) -> np.ndarray:
+        """f64[D], radians or metres by which a closed door may be off."""
+        return np.where(self.is_turning, CLOSED_TURN, CLOSED_SHIFT)
+
+    def carriers(self, poses: np.ndarray) -> np.ndarray:
+        """i[..., K]: see `Carriage`; poses are with the doors open."""
+        return self.carriage.carriers(poses, self.closed.center_of_mass)
 
 
 class DoorCloser:
@@ -197,7 +212,7 @@ class DoorCloser:
         """
         layout = self._layout
         only = is_placed & (np.arange(len(is_placed)) == focus)
-        ends = layout.carried(poses, layout.carriers(poses), layout.travel)
+        ends = layout.carriage.carried(poses, layout.carriers(poses), layout.travel)
         depths = self._closed.probe.depths(ends, only)
         return depths is None or bool(depths[focus, -1] > self._engine.config.max_penetration)
 
@@ -268,7 +283,7 @@ class DoorCloser:
             result.num_steps[at] += len(control)
             now = qpos[running, :num].reshape(len(running), -1, 7)
             travel = qpos[running, num:]
-            rests = layout.carried(start[running], carriers[running], travel)
+            rests = layout.carriage.carried(start[running], carriers[running], travel)
             shift, turn = displacement(np, now, rests)
             shift = np.where(is_placed[running], shift, 0.0)
             turn = np.where(is_placed[running], turn, 0.0)
@@ -299,9 +314,9 @@ class DoorCloser:
         # Closed to within a hair, and then whole: what is in a drawer goes the rest of the way with it.
         now = qpos[running, :num].reshape(len(running), -1, 7)
         travel = qpos[running, num:]
-        back = layout.carried(now, carriers[running], travel, back=True)
+        back = layout.carriage.carried(now, carriers[running], travel, back=True)
         whole = np.broadcast_to(layout.travel, travel.shape)
-        ends = layout.carried(back, carriers[running], whole)
+        ends = layout.carriage.carried(back, carriers[running], whole)
         result.poses[at] = np.where(is_placed[running][..., None], ends, poses[running])
         result.travel[at] = layout.travel
 

@@ -28,6 +28,7 @@ from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import NumberedEngines, Physics
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.containers import BELOW_RIM, INNER, draw_contents
+from cluttergen_jax.placement.doors import poses_on
 from cluttergen_jax.placement.heightmap import HeightMap, make_support_map
 from cluttergen_jax.placement.methods.baselines import costs_of_staying
 from cluttergen_jax.placement.orientations import MAX_RESTING, make_orientations
@@ -389,6 +390,9 @@ def make_setup(
     objects, poses = standing or ((), np.zeros((0, 7), np.float32))
     problem = compose(*assets, config, objects) if assets else make_problem(config, objects, pool)
     check_keep_out(keep_out, problem.region)
+    if problem.world.doors is not None:
+        # A finished scene has its doors closed; objects are placed with them open.
+        poses = poses_on(problem.world.doors.closed, problem.world.support, objects, poses)
     return Setup(problem, keep_out_of(keep_out), start_of(problem.world, poses))
 
 
