@@ -290,7 +290,9 @@ class Doors:
 
     @classmethod
     def of(cls, support: SupportAsset) -> Doors | None:
-        """All that stands open of a support; None where nothing does.
+        """What stands open of a support and is to be closed; None where nothing is.
+
+        That is what was opened when it was imported, or else all that has limits.
 
         Raises:
           ConfigError: it has no joints, it is not known where one is closed, or it tips a surface.
@@ -301,11 +303,15 @@ class Doors:
                 "a support whose file has hinges or slides",
                 "leaving doors out",
             )
-        values = {}
-        for number, joint in enumerate(support.joints):
-            closed = closed_value(joint, support.name) if joint.closed is None else joint.closed
-            if abs(closed - joint.value) > _HAIR:
-                values[number] = closed
+        known = {k: j.closed for k, j in enumerate(support.joints) if j.closed is not None}
+        places = known or {
+            number: closed_value(joint, support.name) for number, joint in enumerate(support.joints)
+        }
+        values = {
+            number: place
+            for number, place in places.items()
+            if abs(place - support.joints[number].value) > _HAIR
+        }
         if not values:
             return None
         closed_support = with_joints_at(support, values)

@@ -14,13 +14,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.cloud import sample_surface
+from cluttergen_jax.assets.config import SURFACE_AIR
 from cluttergen_jax.assets.door_sweep import check_empty
 from cluttergen_jax.assets.doors import (
     Doors,
-    carriers_of,
     is_endless,
     moves_of,
     opened_value,
+    with_joints_at,
 )
 from cluttergen_jax.assets.mesh import join_meshes
 from cluttergen_jax.assets.shape import Shape
@@ -135,23 +136,33 @@ def open_compartments(shape: Shape) -> tuple[Shape, list[str]]:
     ]
 
 
-def without_tipped(support: SupportAsset) -> SupportAsset:
-    """A support without the surfaces that doors tip as they close, such as the inside of an oven's door."""
-    joints = support.joints
-    travel = np.array(
-        [0.0 if joint.closed is None else joint.closed - joint.value for joint in joints]
-    )
-    moves = moves_of(joints, travel)
-    kept = [
-        surface
-        for surface, by in zip(support.named, carriers_of(support), strict=True)
-        if by < 0 or moves[by][2, 2] > _UPRIGHT
+def with_room_when_closed(support: SupportAsset) -> tuple[SupportAsset, list[str]]:
+    """A support without the surfaces that doors tip as they close, or over which they leave no air.
+
+    Such are the inside of an oven's door, and the board on which a drawer runs.
+
+    Returns:
+      It, and in words what is left out.
+    """
+    values = {
+        number: joint.closed
+        for number, joint in enumerate(support.joints)
+        if joint.closed is not None
+    }
+    free = {each.name: each.free_height for each in with_joints_at(support, values).surfaces}
+    kept = [each for each in support.named if free.get(each.name, 0.0) >= SURFACE_AIR]
+    notes = [
+        f"no surface at {each.position[2]:.2f} m: once doors and drawers are closed, "
+        + (f"{free[each.name]:.2f} m of air are left" if each.name in free else "it is tipped")
+        for each in support.named
+        if each not in kept
     ]
-    if not kept or len(kept) == len(support.named):
-        return support
+    if not kept or not notes:
+        return support, []
     names = ["top", *(f"shelf_{number}" for number in range(1, len(kept)))]
     named = tuple(replace(each, name=name) for each, name in zip(kept, names, strict=True))
-    return replace(support, named=named, top=named[0].position[2], region=named[0].region)
+    first = named[0]
+    return replace(support, named=named, top=first.position[2], region=first.region), notes
 
 
 def why_not_closed(support: SupportAsset) -> str:

@@ -66,7 +66,7 @@ from cluttergen_jax.importing.cache import files_outside, outside_note
 from cluttergen_jax.importing.compartments import (
     open_compartments,
     why_not_closed,
-    without_tipped,
+    with_room_when_closed,
 )
 from cluttergen_jax.importing.furniture import (
     FoundSurface,
@@ -148,11 +148,11 @@ def _opened_or_not(shape: Shape, is_posed: bool) -> tuple[SupportAsset, list[str
         support, notes = support_with_notes(shape)
         return support, [*of_doors, *notes]
     support, notes = support_with_notes(opened, shape)
-    support = without_tipped(support)
+    support, of_room = with_room_when_closed(support)
     if why := why_not_closed(support):
         support, notes = support_with_notes(shape)
         return support, [*notes, f"left as its file has it: {why}"]
-    return support, [*of_doors, *notes]
+    return support, [*of_doors, *notes, *of_room]
 
 
 def _together(notes: Sequence[str]) -> list[str]:

@@ -126,7 +126,7 @@ class Rendering:
         if self._makes("sheet"):
             # Called after its source: those of several lie in one folder.
             path = self.out / f"{_plain(opened.name)}-sheet.png"
-            made.append(save_png(self._sheet(opened, numbers, path.name), path))
+            made.append(save_png(self._sheet(work, numbers, path.name), path))
         if replaced := there.intersection(made):
             notes += (f"replaced {len(replaced)} files of the same names that were in {self.out}",)
         return RenderReport(tuple(made), tuple(failures), notes)
@@ -265,9 +265,9 @@ class Rendering:
     def _write_film(self, frames: Iterable[np.ndarray], count: int, path: Path) -> Iterator[Path]:
         yield save_film(track(frames, path.name, count, "frame"), path, self.pace.fps)
 
-    def _sheet(self, source: SceneSource, numbers: list[int], title: str) -> np.ndarray:
+    def _sheet(self, work: _Work, numbers: list[int], title: str) -> np.ndarray:
         picture = self._picture(_CELL, "draft" if len(numbers) > _SHEET else "fine")
-        recordings = [source.still(number) for number in numbers]
+        recordings = [work.still(number) for number in numbers]
         images = []
         with ViewMaker(picture) as maker:
             for place, each in enumerate(track(recordings, title, len(recordings), "picture")):
