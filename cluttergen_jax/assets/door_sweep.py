@@ -15,7 +15,7 @@ _SWEEP = 24
 """Places at which it is looked whether an empty door hits something."""
 _HITS = 0.005
 """Metres that a door may overlap another part more on its way than at both ends."""
-_CLOSED_HITS = 0.03
+_CLOSED_HITS = 0.015
 """Metres that it may overlap more where it is closed than where it is open."""
 
 
@@ -23,7 +23,7 @@ def check_empty(doors: Doors) -> None:
     """Refuses doors that hit the furniture itself on their way, or where they are closed.
 
     Furniture of files touches itself at hinges and rails: a door is refused if it overlaps another part by
-    5 mm more on its way than at both ends, or by 3 cm more where it is closed than where it is open.
+    5 mm more on its way than at both ends, or by 1.5 cm more where it is closed than where it is open.
 
     Raises:
       ConfigError: one does; the message names it, and what it hits.
