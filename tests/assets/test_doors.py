@@ -72,7 +72,9 @@ def test_closing_and_opening_again_changes_nothing(cupboard):
 
 def test_a_drawer_takes_its_surface_along_and_closed_doors_shut_the_front(cupboard):
     doors = Doors.of(cupboard)
-    by_name = dict(zip([each.name for each in cupboard.surfaces], carriers_of(cupboard), strict=True))
+    by_name = dict(
+        zip([each.name for each in cupboard.surfaces], carriers_of(cupboard), strict=True)
+    )
     assert by_name == {"shelf_1": -1, "shelf_2": -1, "drawer": 0, "top": -1}
     before, after = (
         next(each for each in support.surfaces if each.name == "drawer")
@@ -104,10 +106,12 @@ def test_what_is_to_be_closed_is_kept_on_disk(cupboard, tmp_path):
 
 def test_a_door_without_limits_and_a_support_without_doors_are_named(cupboard):
     joints = tuple(replace(each, closed=None) for each in cupboard.joints)
-    assert Doors.of(replace(cupboard, joints=joints)).travel == pytest.approx(Doors.of(cupboard).travel)
+    assert Doors.of(replace(cupboard, joints=joints)).travel == pytest.approx(
+        Doors.of(cupboard).travel
+    )
     endless = (*joints[:2], replace(joints[2], range=None))
     assert opened_value(endless[2]) is None
-    with pytest.raises(ConfigError, match="'door_right'.*states no limits"):
+    with pytest.raises(ConfigError, match=r"'door_right'.*states no limits"):
         Doors.of(replace(cupboard, joints=endless))
     with pytest.raises(ConfigError, match="'table', which has no joints"):
         Doors.of(find_support("table"))
@@ -121,5 +125,5 @@ def test_a_door_that_hits_the_furniture_is_named(cupboard):
     tall = replace(box, center=(*box.center[:2], 0.6), half_extents=(*box.half_extents[:2], 0.25))
     boxes = (*cupboard.boxes[:14], tall, *cupboard.boxes[15:])
     jammed = replace(cupboard, boxes=boxes)
-    with pytest.raises(ConfigError, match="door 'door_left'.*cannot close: .*hits door 'drawer'"):
+    with pytest.raises(ConfigError, match=r"door 'door_left'.*cannot close: .*hits door 'drawer'"):
         check_empty(Doors.of(jammed))

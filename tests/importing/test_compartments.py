@@ -32,7 +32,9 @@ def test_doors_and_drawers_are_opened_to_look_behind_them(make, tmp_path, capsys
     assert heights(doors.closed) == heights(support)
     # Nothing of the closed piece reaches beyond its front.
     lowest = min(box.outline[:, 1].min() for box in doors.closed.boxes)
-    assert lowest == pytest.approx(min(box.outline[:, 1].min() for box in doors.closed.boxes[:6]), abs=0.03)
+    assert lowest == pytest.approx(
+        min(box.outline[:, 1].min() for box in doors.closed.boxes[:6]), abs=0.03
+    )
 
 
 def test_joints_that_are_asked_for_stay_where_they_are_put(tmp_path, capsys):

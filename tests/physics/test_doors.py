@@ -32,7 +32,9 @@ def problem(**changes):
         num_threads=1,
         **changes,
     )
-    return compose([pool[name] for name in NAMES], find_support("cupboard").on_surface("all"), config)
+    return compose(
+        [pool[name] for name in NAMES], find_support("cupboard").on_surface("all"), config
+    )
 
 
 @pytest.fixture(scope="module")
