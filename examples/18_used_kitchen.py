@@ -17,7 +17,8 @@ num_scenes = 8
 # Objects are placed with doors and drawer open. Then these are closed slowly in physics, and a scene succeeds
 # if they close and nothing is disturbed. Your own furniture works alike: `cluttergen import --support FILE`
 # opens what hides a shelf. From the command line:
-# `cluttergen generate --pool dining~bottle --support cupboard --surface shelf_1:3,drawer:2,top:2 -n 8 --out kitchen`
+#
+#     cluttergen generate --pool dining~bottle --support cupboard --surface shelf_1:3,drawer:2,top:2
 
 # %%
 if __name__ == "__main__":
@@ -46,7 +47,7 @@ if __name__ == "__main__":
         )
     view = CameraView(azimuth=112, elevation=-16)
     for doors in ("closed", "open"):
-        cg.render("kitchen", f"pictures/{doors}", scenes="2", doors=doors, whole=True, view=view)
+        cg.render("kitchen", f"pictures/{doors}", scenes="2", doors=doors, view=view, whole=True)
 
 # %% [markdown]
 # ![The kitchen with its doors closed, and the same with them open](../docs/images/tutorials/used_kitchen.png)
@@ -66,4 +67,5 @@ if __name__ == "__main__":
         print(f"{joint.name} after ten seconds: {data.joint(joint.name).qpos[0]:.4f}")
 
 # %% [markdown]
-# Definitions: [doors](../docs/contract.md#success). `cluttergen stats kitchen` says which door hit what, where one did.
+# `cluttergen stats kitchen` says which door hit what, where one did. Definitions:
+# [doors](../docs/contract.md#success).
