@@ -131,7 +131,7 @@ def with_joints_at(support: SupportAsset, values: Mapping[int, float]) -> Suppor
         joints.append(
             replace(
                 joint.transform(T[:3, :3], 1.0, T[:3, 3]),
-                value=joint.value + float(travel[number]),
+                value=values.get(number, joint.value),
                 range=joint.range,
                 closed=joint.closed,
                 boxes=tuple(place for place in places if place >= 0),

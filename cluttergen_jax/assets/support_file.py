@@ -217,7 +217,8 @@ def _record(support: SupportAsset) -> dict[str, Any]:
     if support.joints:
         more["joints"] = [_round(_joint_record(joint)) for joint in support.joints]
     form = WITH_JOINTS if support.joints else WITH_SURFACES if more else FORMAT
-    if any(joint.closed not in (None, joint.value) for joint in support.joints):
+    known = [joint for joint in support.joints if joint.closed is not None]
+    if any(_round(joint.closed) != _round(joint.value) for joint in known):
         form = WITH_DOORS
     return {
         "format": form,

@@ -18,7 +18,12 @@ from cluttergen_jax.assets.doors import (
     with_joints_at,
 )
 from cluttergen_jax.assets.shape import Joint
-from cluttergen_jax.assets.support_file import find_support, read_support, write_support
+from cluttergen_jax.assets.support_file import (
+    find_support,
+    read_support,
+    support_hash,
+    write_support,
+)
 from cluttergen_jax.errors import ConfigError
 
 
@@ -127,3 +132,16 @@ def test_a_door_that_hits_the_furniture_is_named(cupboard):
     jammed = replace(cupboard, boxes=boxes)
     with pytest.raises(ConfigError, match=r"door 'door_left'.*cannot close: .*hits door 'drawer'"):
         check_empty(Doors.of(jammed))
+
+
+def test_a_support_has_the_same_digest_before_and_after_disk(cupboard, tmp_path):
+    # Sums of limits that are no binary fractions.
+    joints = tuple(
+        replace(joint, closed=-0.044, range=(-0.044, joint.value)) for joint in cupboard.joints
+    )
+    for support in (
+        replace(cupboard, joints=joints),
+        Doors.of(replace(cupboard, joints=joints)).closed,
+    ):
+        folder = write_support(tmp_path / str(are_closed(support)), support)
+        assert support_hash(read_support(folder)) == support_hash(support)

@@ -109,7 +109,7 @@ class Totals:
             named = "; ".join(
                 f"{text} ({number})" for text, number in self.hits.most_common(_MOST_HITS)
             )
-            hits = f"{self.door_hits} times one hit an object or did not close: {named}"
+            hits = f"blocked {self.door_hits} time{'s' * (self.door_hits != 1)}: {named}"
             lines.append(f"doors      {hits if self.door_hits else 'all closed at once'}")
         if num_new and seconds > 0:
             lines.append(
