@@ -3,7 +3,7 @@
     bank.json               how it was made; what makes another run the same bank; digests of its files
     scenes-000000.parquet   block 0: scenes 0 to 255, a row each, failures included; and bank.json once more
     scenes-000000-000767.parquet    the same of blocks 0 to 767: a shard, in banks of more than 768 blocks
-    assets/objects/NAME/    each object once; assets/support/ the table
+    assets/objects/NAME/    each object once; assets/support/ the table, support_open/ with open doors
     assets/textures/        the objects' images, each once
     bank_reader.py          reads the bank where this package is not
     scenes/000000.xml .png  successful scenes as MJCF, meshes by relative path, and their pictures
