@@ -17,6 +17,7 @@ from cluttergen_jax.config import (
     Balance,
     ContactConfig,
     Containment,
+    DoorState,
     Engine,
     Height,
     Method,
@@ -112,6 +113,7 @@ class SceneOptions(TypedDict, total=False):
     roles: str | Mapping[str, str]
     clearance: float | None
     crowd: float
+    doors: DoorState | None
     method: Method | OwnProposer | str | None
     checkpoint: str | Path | None
     engine: Engine
@@ -194,6 +196,10 @@ class SceneSpec(PlacementRequest):
       crowd: how far the objects of a finished scene are drawn together: 0, they stay where they were placed;
         0.5, neighbours touch from the side, the same as clutter="side=0.9"; 1, a heap in which many lean, as
         clutter="side=0.9,lean=0.4". Native engine only.
+      doors: "closed": doors and drawers of the support stand open while objects are placed, and are closed
+        then; a scene succeeds if they close, to within 1 degree or 2 mm, and all objects stand undisturbed.
+        "open": they stay as they stand. If not given: those that `import --support` opened to look behind
+        them are closed.
       method: who proposes poses: "guided", "spread", "drop", "clear", "random", or a policy trained for the
         pool: "policy", "beta_free", "normal", "open_loop" or "short_memory"; "packed": upright, side by side,
         on others only as many as `clutter` allows by stack; or "pile": all objects fall into a heap, in any
@@ -491,6 +497,7 @@ class SceneSpec(PlacementRequest):
           ConfigError: more objects are asked for than there are, or there is no such engine.
           PoolError: there is no such pool or support.
         """
+        from cluttergen_jax.assets.doors import are_to_be_closed
         from cluttergen_jax.assets.facts import chosen_names, is_plain_name
         from cluttergen_jax.assets.pool import find_pool
         from cluttergen_jax.assets.support import parse_polygon, parse_region, parse_surfaces
@@ -545,6 +552,8 @@ class SceneSpec(PlacementRequest):
             clutter = None if self.clutter is None else Clutter.of(self.clutter)
             stack = None if clutter is None else clutter.stack
             decided["most_stacked"] = math.ceil(stack or 0)
+        if self.doors is None and are_to_be_closed(find_support(self.support)):
+            decided["doors"] = "closed"
         placement = self._placement(num_objects, decided)
         _, lean = placement.crowd_targets or (0.0, 0.0)
         is_heap = entry.is_whole or lean > 0

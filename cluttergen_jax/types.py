@@ -27,6 +27,7 @@ class Verdict(enum.IntEnum):
     UNSUPPORTED = 9
     FRAGILE = 10
     UNRELATED = 11
+    BLOCKED = 12
 
     @property
     def sentence(self) -> str:
@@ -53,6 +54,7 @@ _SENTENCES = {
     Verdict.UNSUPPORTED: "came to rest with its centre of mass too near the edge of what carries it",
     Verdict.FRAGILE: "would not stand under a slight tilt, less friction and softer contacts",
     Verdict.UNRELATED: "came to rest where a relation asked for does not hold, or, packed, on another object",
+    Verdict.BLOCKED: "a door or a drawer hit an object when it was closed, or did not close",
 }
 
 
@@ -62,8 +64,9 @@ class Settling(struct.PyTreeNode):
     T is the step at which an attempt ends at the latest (`StabilityConfig.last_step`).
 
     Attributes:
-      verdict: i32, a `Verdict`; OUTSIDE, UNSUPPORTED, UNRELATED and CREPT are never given here, FRAGILE only
-        where `StabilityConfig.robust_tilt` asks for it. NONE if the scene was inactive.
+      verdict: i32, a `Verdict`; UNSUPPORTED, UNRELATED, CREPT and BLOCKED are never given here, OUTSIDE only
+        for what is in the way of a door that is to be closed, FRAGILE only where
+        `StabilityConfig.robust_tilt` asks for it. NONE if the scene was inactive.
       num_steps: i32, the step at which the attempt ended.
       check_steps: i32, steps simulated after that, to see whether what came to rest is fragile.
       poses: f32[K, 7], final poses of all objects, world frame, metres, wxyz.
@@ -112,6 +115,23 @@ class Standing(struct.PyTreeNode):
     num_steps: Array
     shift: Array
     turn: Array
+
+
+class Closing(Standing):
+    """The last check of a finished scene whose doors were closed before it. D doors that close.
+
+    Attributes:
+      verdict: as that of a `Standing`, or BLOCKED.
+      poses: f32[K, 7], where objects came to lie: drawers carry what is in them.
+      travel: f32[D], by which each door moved, radians or metres.
+      door: i32, the door that hit an object or did not close, -1 for none.
+      hit: i32, the object that it hit, -1 for none.
+    """
+
+    poses: Array
+    travel: Array
+    door: Array
+    hit: Array
 
 
 class Piling(struct.PyTreeNode):

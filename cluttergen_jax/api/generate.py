@@ -24,7 +24,8 @@ _MOST = 2**32 - 1
 _PERSON = "where a person places"
 _NOT_BY_HAND = {
     **dict.fromkeys(
-        ("method", "checkpoint", "height", "poses", *TARGETS, "clearance", "crowd"), _PERSON
+        ("method", "checkpoint", "height", "poses", *TARGETS, "clearance", "crowd", "doors"),
+        _PERSON,
     ),
     **dict.fromkeys(
         ("order", "max_attempts", "ruin_after", "budget"), f"{_PERSON}, as often as wanted"

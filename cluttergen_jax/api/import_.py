@@ -169,7 +169,8 @@ def import_support(
         support of that name comes with the package.
       joint: where joints of a URDF or MJCF file are to be, NAME=VALUE each, in metres, or degrees for those
         that turn, such as drawer_1=0.2; the others stay at their lower limit, or where the file has them.
-        Limits are met to within the rounding of the file's numbers.
+        Limits are met to within the rounding of the file's numbers. If none is given, doors and drawers that
+        hide surfaces are opened, and scenes close them (`doors`).
 
     Returns:
       The support; its name is what `support` of `make_sampler` takes. `surfaces` has what was found.

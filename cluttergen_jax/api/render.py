@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Literal, get_args
 from cluttergen_jax.api.text import parse_size, scene_numbers
 from cluttergen_jax.config import (
     DatasetForm,
+    DoorState,
     FilmFormat,
     Method,
     PixelOrigin,
     Variation,
     check_range,
+    no_such,
 )
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
@@ -55,6 +57,7 @@ def render(
     view: CameraView | None = None,
     whole: bool = False,
     hulls: bool = False,
+    doors: DoorState = "closed",
     cameras: Sequence[str | Path] = (),
     quality: Quality | None = None,
     samples: int | None = None,
@@ -94,6 +97,7 @@ def render(
       view: from which side the scene is seen; the defaults of `CameraView` if not given.
       whole: show the whole support instead of the objects and the region alone.
       hulls: draw the collision parts instead of the surfaces.
+      doors: "open" shows scenes that close doors with these open; what is in drawers is seen with them.
       cameras: that see each scene, for pictures, films, depth, segmentation and bop: "free:4", "overhead",
         "side", or JSON files with cameras of your own (docs/guide/datasets.md), which go around for a
         turntable; files are named after them.
@@ -146,6 +150,8 @@ def render(
         raise ConfigError(f"quality = {quality!r}", ", ".join(QUALITIES), "quality='draft'")
     plans = parse_cameras(cameras, size) if cameras else ()
     check_range("columns", columns, 1, _MOST_COLUMNS, 4)
+    if doors not in get_args(DoorState):
+        raise no_such("doors", doors, get_args(DoorState))
     rendering = Rendering(
         frozenset(name for name, is_asked in products.items() if is_asked),
         Path(out),
@@ -158,6 +164,7 @@ def render(
         columns,
         BopConfig(views, seed, split, pixel_origin, plans or None),
         plans,
+        doors,
     )
     with hold_folder(Path(out)):
         return rendering.make(str(source), numbers)

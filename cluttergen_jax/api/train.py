@@ -33,6 +33,7 @@ _NOT_TAKEN = {
     **dict.fromkeys(("keep_out", "start"), "where every episode begins on an empty support"),
     "setting": "where rules that are not given are those of the preset",
     **dict.fromkeys(("height", *TARGETS, "clearance", "crowd"), "of methods that are not trained"),
+    "doors": "where they stay as they stand",
     "poses": "of which a policy, which sees clouds of upright objects, would know nothing",
     **dict.fromkeys(("method", "checkpoint"), "where `variant` says what is trained"),
 }
@@ -152,6 +153,8 @@ def train(
     join(coordinator, num_processes, process_id)
     # Rules that are not given are the preset's.
     problem = replace(asked, setting="paper").problem_config(None, asked.find_pool())
+    # Doors stay as they stand.
+    problem = replace(problem, placement=replace(problem.placement, doors=None))
     # All objects of the pool are in one world.
     config = replace(config, problem=replace(problem, change=change, shelf=0))
     if paper:

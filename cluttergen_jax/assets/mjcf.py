@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 
 import mujoco
@@ -23,6 +24,8 @@ SHININESS = 0.35
 MAX_FRICTION = 10.0
 """Sliding coefficients of objects from here on are all alike to MuJoCo's choice between two of them."""
 _HIGHEST_PRIORITY = 100_000
+DOOR_MASS = 1.0
+"""Kilograms of a door while it is closed: a hand leads it, whatever it weighs."""
 _KNOWN_TO_ALL = mujoco.mjtMeshInertia.mjMESH_INERTIA_LEGACY
 """How a mesh weighs where nothing is said of it: files that say something do not open before MuJoCo 3.3."""
 # Metres.
@@ -174,11 +177,28 @@ def add_object(
     return body
 
 
-def add_support(spec: mujoco.MjSpec, support: SupportAsset, *, visual: bool = False) -> None:
-    """Adds the support's boxes and convex parts to the world body, and its visual pieces if asked for."""
-    body = spec.worldbody.add_body(name="support")
+def add_support(
+    spec: mujoco.MjSpec,
+    support: SupportAsset,
+    *,
+    visual: bool = False,
+    moving: Mapping[int, mujoco.MjsBody] | None = None,
+) -> None:
+    """Adds the support's boxes and convex parts to the world body, and its visual pieces if asked for.
+
+    Args:
+      moving: bodies of some of its joints, by number, to which what they move is added instead.
+    """
+    still = spec.worldbody.add_body(name="support")
+    bodies = {
+        (kind, index): body
+        for number, body in (moving or {}).items()
+        for kind in ("boxes", "parts")
+        for index in getattr(support.joints[number], kind)
+    }
     is_drawn = visual and not support.pieces
     for index, box in enumerate(support.boxes):
+        body = bodies.get(("boxes", index), still)
         body.add_geom(
             name=f"support.box-{index}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -189,11 +209,53 @@ def add_support(spec: mujoco.MjSpec, support: SupportAsset, *, visual: bool = Fa
             group=VISUAL_GROUP if is_drawn else COLLISION_GROUP,
         )
     for index, part in enumerate(support.parts):
+        body = bodies.get(("parts", index), still)
         geom = add_part(spec, body, f"support.part-{index}", part.vertices)
         geom.rgba = PART_RGBA
         geom.group = VISUAL_GROUP if is_drawn else COLLISION_GROUP
     if visual:
-        _add_visuals(spec, body, "support", support.pieces)
+        _add_visuals(spec, still, "support", support.pieces)
+
+
+def add_door_bodies(
+    spec: mujoco.MjSpec, support: SupportAsset, numbers: Sequence[int]
+) -> dict[int, mujoco.MjsBody]:
+    """Adds a weightless body and a joint for each of some joints of a support: 0 where it stands.
+
+    Returns:
+      The bodies, by the number of every joint that moves them: joints that stay as they are move with those
+      that they hang on.
+    """
+    bodies: dict[int, mujoco.MjsBody] = {}
+
+    def body_of(number: int) -> mujoco.MjsBody | None:
+        if number < 0 or number in bodies:
+            return bodies.get(number)
+        joint = support.joints[number]
+        above = body_of(joint.parent)
+        if number not in numbers:
+            if above is not None:
+                bodies[number] = above
+            return above
+        body = (above or spec.worldbody).add_body(name=f"door.{number}", gravcomp=1.0)
+        points = [support.boxes[k].mesh.vertices for k in joint.boxes]
+        points += [support.parts[k].vertices for k in joint.parts]
+        corners = np.concatenate(points or [np.array([joint.anchor])])
+        size = np.maximum(np.ptp(corners, axis=0), 0.02)
+        body.mass = DOOR_MASS
+        body.ipos = (corners.min(0) + corners.max(0)) / 2
+        body.inertia = DOOR_MASS / 12 * (np.square(size).sum() - np.square(size))
+        body.explicitinertial = True
+        kind = mujoco.mjtJoint.mjJNT_HINGE
+        if joint.kind == "slide":
+            kind = mujoco.mjtJoint.mjJNT_SLIDE
+        body.add_joint(name=f"door.{number}", type=kind, pos=joint.anchor, axis=joint.axis)
+        bodies[number] = body
+        return body
+
+    for number in range(len(support.joints)):
+        body_of(number)
+    return bodies
 
 
 def add_air_walls(spec: mujoco.MjSpec) -> None:
@@ -218,6 +280,7 @@ def populated_spec(
     *,
     poses: np.ndarray | None = None,
     visual: bool = False,
+    doors: Sequence[int] = (),
 ) -> mujoco.MjSpec:
     """A support and free objects on it, ready to be compiled; its only joints are theirs, in this order.
 
@@ -228,9 +291,11 @@ def populated_spec(
       poses: f[N, 7], T_world_object, metres, wxyz. None parks the objects in the air, unturned, far from the
         support and from each other, so that they touch nothing.
       visual: whether coloured surfaces come along.
+      doors: joints of the support, by number, that move: theirs come behind the objects', each with an
+        actuator for its position. Nothing of the support touches another part of it.
     """
     spec = new_spec(timestep, contact)
-    if support is not None:
+    if support is not None and not doors:
         add_support(spec, support, visual=visual)
     x = _PARKING_START
     for index, (name, asset) in enumerate(zip(names, objects, strict=True)):
@@ -242,6 +307,22 @@ def populated_spec(
         x += asset.radius
         body.pos = (x, 0.0, _PARKING_HEIGHT)
         x += asset.radius + _PARKING_GAP
+    if support is not None and doors:
+        bodies = add_door_bodies(spec, support, doors)
+        add_support(spec, support, visual=visual, moving=bodies)
+        names = ["support", *dict.fromkeys(body.name for body in bodies.values())]
+        for one, other in itertools.combinations(names, 2):
+            spec.add_exclude(bodyname1=one, bodyname2=other)
+        for number in doors:
+            spec.add_actuator(
+                name=f"door.{number}",
+                target=f"door.{number}",
+                trntype=mujoco.mjtTrn.mjTRN_JOINT,
+                gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+                biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+                forcelimited=True,
+                forcerange=(-1.0, 1.0),
+            )
     return spec
 
 

@@ -194,6 +194,8 @@ class Joint:
         none that can be.
       damping, friction, armature: N s/m, N and kg, or of hinges N m s, N m and kg m^2; None where its file
         states none.
+      closed: where it stands when it is closed, as `value`: of doors and drawers that scenes open to place
+        objects behind them; None of all others.
     """
 
     name: str
@@ -212,6 +214,7 @@ class Joint:
     damping: float | None = None
     friction: float | None = None
     armature: float | None = None
+    closed: float | None = None
 
     def with_mass(self, body: MassProperties | None) -> Joint:
         """The joint with the mass of what it moves, if it is known."""
@@ -246,8 +249,14 @@ class Joint:
         x, y, z = (scale * rotation @ self.anchor + translation).tolist()
         u, v, w = (rotation @ self.axis).tolist()
         limits = None if self.range is None else (factor * self.range[0], factor * self.range[1])
+        closed = None if self.closed is None else factor * self.closed
         moved = replace(
-            self, anchor=(x, y, z), axis=(u, v, w), value=factor * self.value, range=limits
+            self,
+            anchor=(x, y, z),
+            axis=(u, v, w),
+            value=factor * self.value,
+            range=limits,
+            closed=closed,
         )
         if (body := self.body) is None:
             return moved

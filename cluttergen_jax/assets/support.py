@@ -198,7 +198,8 @@ class SupportAsset:
       pieces: what is drawn instead of the collision; empty means that the collision itself is drawn.
       parts: convex collision parts, world frame, beside the boxes.
       named: its surfaces, where it has other than a flat top alone.
-      joints: its hinges and slides, which stand still wherever scenes are made.
+      joints: its hinges and slides. They stand still wherever scenes are made, but for doors that are closed
+        when all objects are placed (`assets.doors`).
       surface: those that objects are asked for on, as `on_surface` takes them: `top` and `region` tell of the
         first.
     """

@@ -46,6 +46,8 @@ FORMAT = 1
 WITH_SURFACES = 2
 """Of supports that have convex parts or several surfaces, which readers of format 1 would lose."""
 WITH_JOINTS = 3
+WITH_DOORS = 4
+"""Of supports whose doors stand open and are to be closed, which readers of format 3 would leave open."""
 _RECORD = "support.json"
 _DIGITS = 7
 _SIZED = re.compile(r"(table|bin|tote|tray)-(\d*\.?\d+(?:x\d*\.?\d+){1,2})")
@@ -99,9 +101,10 @@ def read_support(folder: str | Path) -> SupportAsset:
         FORMAT,
         WITH_SURFACES,
         WITH_JOINTS,
+        WITH_DOORS,
     ):
         raise PoolError(
-            f"{path} is not a support of format {FORMAT} to {WITH_JOINTS}", hint=_REWRITE
+            f"{path} is not a support of format {FORMAT} to {WITH_DOORS}", hint=_REWRITE
         )
     if not (isinstance(record.get("name"), str) and NAME_PATTERN.fullmatch(record["name"])):
         raise PoolError(
@@ -213,8 +216,12 @@ def _record(support: SupportAsset) -> dict[str, Any]:
         }
     if support.joints:
         more["joints"] = [_round(_joint_record(joint)) for joint in support.joints]
+    form = WITH_JOINTS if support.joints else WITH_SURFACES if more else FORMAT
+    known = [joint for joint in support.joints if joint.closed is not None]
+    if any(_round(joint.closed) != _round(joint.value) for joint in known):
+        form = WITH_DOORS
     return {
-        "format": WITH_JOINTS if support.joints else WITH_SURFACES if more else FORMAT,
+        "format": form,
         "name": support.name,
         "label": support.label,
         "top": _round(support.top),
@@ -339,7 +346,8 @@ def _faults_of_joints(record: _Stored) -> list[str]:
         ]
         is_sound &= min(amounts, default=0.0) >= 0 and (joint.mass is None or joint.mass > 0)
         low, high = joint.range or (-math.inf, math.inf)
-        if not (is_sound and low - _HAIR <= joint.value <= high + _HAIR):
+        places = [each for each in (joint.value, joint.closed) if each is not None]
+        if not (is_sound and all(low - _HAIR <= each <= high + _HAIR for each in places)):
             faults.append(f"joint {joint.name!r} is not sound")
     return faults
 

@@ -78,7 +78,7 @@ class Runner:
         self.progress = Progress("evaluating", 0, "scene")
         self._setups: OrderedDict[Any, Setup] = OrderedDict()
         self._drawn: tuple[Any, Shelves] | None = None
-        self._shared: dict[tuple[int, StabilityConfig], tuple[NumberedEngines, Physics]] = {}
+        self._shared: dict[tuple[int, StabilityConfig, int], tuple[NumberedEngines, Physics]] = {}
         self._made: set[str] = set()
         self._rows: dict[str, Row] = {}
         self._num_rows = self._num_done = 0
@@ -344,9 +344,10 @@ class Runner:
         engine = make_physics(world.layout, stability, config.engine, self.num_threads)
         if not isinstance(engine, NativePhysics):
             return engine
-        sizes = (world.num_objects, stability)
+        num_doors = 0 if world.doors is None else len(world.doors.names)
+        sizes = (world.num_objects, stability, num_doors)
         if sizes not in self._shared:
-            engines = NumberedEngines(*sizes)
+            engines = NumberedEngines(world.num_objects, stability, num_doors=num_doors)
             self._shared[sizes] = engines, engines.with_number(np.int32(0))
         engines, physics = self._shared[sizes]
         engines.put(engine)

@@ -119,10 +119,11 @@ def write_bank(
         recipe,
         num_scenes,
         names,
-        problem.world.support,
+        problem.world.finished_support,
         overwrite,
         bits=bits,
         allow_other_bits=allow_other_bits,
+        open_support=None if problem.world.doors is None else problem.world.support,
     ) as writer:
         for note in notes:
             print(note, file=sys.stderr, flush=True)
@@ -155,7 +156,7 @@ def write_bank(
         record,
         notes=notes,
         summary=summary,
-        advice=_advice(method.name, totals.success / totals.scenes),
+        advice=_advice(method.name, totals),
         files_written=written,
     )
 
@@ -175,11 +176,14 @@ def run_blocks(
     return sum(rows for _, rows in missing)
 
 
-def _advice(method: str, success: float) -> str:
+def _advice(method: str, totals: Totals) -> str:
     """What to try where few scenes succeed; nothing where most do."""
-    if success >= _FEW:
+    if totals.success >= _FEW * totals.scenes:
         return ""
     better = _ROOM if method == DEFAULT_METHOD else f"method={DEFAULT_METHOD!r}"
+    if totals.hits:
+        (text, _), *_ = totals.hits.most_common(1)
+        better = f"overhang='none', as {text}; smaller objects, fewer of them, or doors='open'"
     return f"advice     few scenes succeed with {method} here; try {better}"
 
 
@@ -260,7 +264,10 @@ def _rows(
     _give_back_memory()
     geometry = problem.rules.geometry
     half_extents = np.asarray(geometry.half_extents)
-    return table_of(indices, scenes, problem.world.names, half_extents, numbers, geometry.hollows)
+    world = problem.world
+    return table_of(
+        indices, scenes, world.names, half_extents, numbers, geometry.hollows, world.doors
+    )
 
 
 def _give_back_memory() -> None:

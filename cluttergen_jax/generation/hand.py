@@ -186,7 +186,7 @@ def hand_setup(spec: SceneSpec) -> Setup:
     """The problem that a person solves (`make_setup`): attempts as they like, none looked back on."""
     pool = spec.find_pool()
     config = spec.problem_config(None, pool)
-    config = replace(config, placement=replace(config.placement, history_stride=0))
+    config = replace(config, placement=replace(config.placement, history_stride=0, doors=None))
     setup = make_setup(config, spec.boxes(), pool=pool)
     support = setup.problem.world.support
     if support.named and not support.chosen.is_level:

@@ -291,11 +291,14 @@ class Sampler:
             )
         placed = np.asarray(sampled.is_placed)
         chosen = [int(each) for each in np.asarray(sampled.object_index)[placed]]
+        support = world.finished_support
+        if world.doors is not None and sampled.doors is not None and not bool(sampled.is_success):
+            support = world.doors.at(np.asarray(sampled.doors.travel))
         return Scene(
             names=tuple(world.names[each] for each in chosen),
             objects=tuple(world.objects[each] for each in chosen),
             poses=np.asarray(sampled.poses)[placed],
-            support=world.support,
+            support=support,
             stability=config.stability,
             contact=config.contact,
             origin=Origin(

@@ -63,6 +63,11 @@ from cluttergen_jax.errors import AssetError, ClutterGenError, PoolError
 from cluttergen_jax.files import writing
 from cluttergen_jax.geometry import box_corners, rotate_in_plane, yaw_matrix
 from cluttergen_jax.importing.cache import files_outside, outside_note
+from cluttergen_jax.importing.compartments import (
+    open_compartments,
+    why_not_closed,
+    with_room_when_closed,
+)
 from cluttergen_jax.importing.furniture import (
     FoundSurface,
     find_furniture,
@@ -107,7 +112,7 @@ def write_table(
     shape, of_pose = call_limited(
         source.path, read_upright, source, options, joints, seconds=_READING
     )
-    support, notes = support_with_notes(shape)
+    support, notes = _opened_or_not(shape, bool(joints))
     of_file = [note for note in shape.notes if not note.startswith(_OF_MASS)]
     said = [
         *outside_note(source.outside),
@@ -130,6 +135,24 @@ def write_table(
             )
         write_support(folder, support, overwrite=force)
     return support
+
+
+def _opened_or_not(shape: Shape, is_posed: bool) -> tuple[SupportAsset, list[str]]:
+    """`support_with_notes` of furniture with its doors and drawers open where that shows more surfaces.
+
+    Args:
+      is_posed: joints were asked for, and are left there.
+    """
+    opened, of_doors = (shape, []) if is_posed else open_compartments(shape)
+    if opened is shape:
+        support, notes = support_with_notes(shape)
+        return support, [*of_doors, *notes]
+    support, notes = support_with_notes(opened, shape)
+    support, of_room = with_room_when_closed(support)
+    if why := why_not_closed(support):
+        support, notes = support_with_notes(shape)
+        return support, [*notes, f"left as its file has it: {why}"]
+    return support, [*of_doors, *notes, *of_room]
 
 
 def _together(notes: Sequence[str]) -> list[str]:
@@ -179,7 +202,7 @@ _BULGE = 0.02
 _MORE = 1.05
 
 
-def support_with_notes(shape: Shape) -> tuple[SupportAsset, list[str]]:
+def support_with_notes(shape: Shape, closed: Shape | None = None) -> tuple[SupportAsset, list[str]]:
     """Finds the surfaces of a table, a shelf or a board, and makes it carry objects.
 
     The top is the height at which the largest level area is open to the sky. Its outline is covered with
@@ -189,16 +212,20 @@ def support_with_notes(shape: Shape) -> tuple[SupportAsset, list[str]]:
 
     Args:
       shape: furniture in metres, z up, as authored or scaled by its reader.
+      closed: the same with its doors closed, where they are open in `shape`.
 
     Returns:
-      The support on the floor, its bounding box centred on the z axis; and in words what is no surface of it
-      and what does not collide.
+      The support on the floor, its bounding box (of `closed`, if given) centred on the z axis; and in words
+      what is no surface of it and what does not collide.
 
     Raises:
       AssetError: nothing level of at least 10 cm x 10 cm that is open to the sky, and no other surface.
     """
     whole = join_meshes([piece.mesh for piece in shape.pieces])
-    shift = -np.append(whole.bounds.mean(0)[:2], whole.bounds[0, 2])
+    bounds = whole.bounds
+    if closed is not None:
+        bounds = join_meshes([piece.mesh for piece in closed.pieces]).bounds
+    shift = -np.append(bounds.mean(0)[:2], bounds[0, 2])
     support, notes = _without_joints(shape, whole, shift)
     if not shape.joints:
         return support, notes

@@ -19,7 +19,7 @@ from jax.experimental.buffer_callback import buffer_callback
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.geometry import rotate
 from cluttergen_jax.progress import COMPILING
-from cluttergen_jax.types import Array, Piling, Settling, Standing, Verdict
+from cluttergen_jax.types import Array, Closing, Piling, Settling, Standing, Verdict
 
 
 class Physics(Protocol):
@@ -100,6 +100,22 @@ def empty_standing(xp: Any, batch: tuple[int, ...], num_objects: int) -> Standin
     )
 
 
+def empty_closing(xp: Any, batch: tuple[int, ...], num_objects: int, num_doors: int) -> Closing:
+    """`empty_standing` where doors are closed: no door, no object."""
+    zeros = _zeros(xp, batch)
+    standing = empty_standing(xp, batch, num_objects)
+    return Closing(
+        verdict=standing.verdict,
+        num_steps=standing.num_steps,
+        shift=standing.shift,
+        turn=standing.turn,
+        poses=zeros(xp.float32, num_objects, 7),
+        travel=zeros(xp.float32, num_doors),
+        door=_not_judged(xp, batch),
+        hit=_not_judged(xp, batch),
+    )
+
+
 def empty_piling(xp: Any, batch: tuple[int, ...], num_objects: int) -> Piling:
     """The report of scenes that were not piled: verdict NONE, everything else zero."""
     zeros = _zeros(xp, batch)
@@ -121,11 +137,19 @@ def empty_piling(xp: Any, batch: tuple[int, ...], num_objects: int) -> Piling:
 
 
 @lru_cache(maxsize=64)
-def _report_shapes(num_objects: int, config: StabilityConfig) -> tuple[Any, Any, Any]:
+def _report_shapes(
+    num_objects: int, config: StabilityConfig, num_doors: int
+) -> tuple[Any, Any, Any]:
     """The reports of `settle`, `stand` and `pile` with the shape of each field in its place."""
+
+    def check() -> Standing:
+        if num_doors:
+            return empty_closing(jnp, (), num_objects, num_doors)
+        return empty_standing(jnp, (), num_objects)
+
     return (
         jax.eval_shape(lambda: empty_settling(jnp, (), num_objects, config)),
-        jax.eval_shape(lambda: empty_standing(jnp, (), num_objects)),
+        jax.eval_shape(check),
         jax.eval_shape(lambda: empty_piling(jnp, (), num_objects)),
     )
 
@@ -227,13 +251,14 @@ class HostPhysics(OneScenePhysics):
 
     Args:
       num_objects: K; config: when an object stands still.
+      num_doors: that are closed before the last check, whose report is a `Closing` then.
     """
 
     settle_batch: HostFunction
     stand_batch: HostFunction
 
-    def __init__(self, num_objects: int, config: StabilityConfig) -> None:
-        settling, standing, self._piling = _report_shapes(num_objects, config)
+    def __init__(self, num_objects: int, config: StabilityConfig, num_doors: int = 0) -> None:
+        settling, standing, self._piling = _report_shapes(num_objects, config, num_doors)
         settle = host_function(self.settle_batch, settling)
         super().__init__(config, settle, host_function(self.stand_batch, standing))
 
@@ -270,6 +295,7 @@ class NumberedEngines:
     Args:
       num_objects: K of every world; config: when an object stands still.
       make: the engine of a number; None where each is handed in (`put`).
+      num_doors: of every world, see `HostPhysics`.
     """
 
     def __init__(
@@ -277,12 +303,13 @@ class NumberedEngines:
         num_objects: int,
         config: StabilityConfig,
         make: Callable[[int], BatchEngine] | None = None,
+        num_doors: int = 0,
     ) -> None:
         self.config = config
         self._make = make
         self._lock = threading.RLock()
         self._at_hand: tuple[int, BatchEngine] | None = None
-        settling, standing, piling = _report_shapes(num_objects, config)
+        settling, standing, piling = _report_shapes(num_objects, config, num_doors)
         self.settle_one = host_function(partial(self._batch, "settle_batch"), settling)
         self.stand_one = host_function(partial(self._batch, "stand_batch"), standing)
         self.pile_one = host_function(partial(self._batch, "pile_batch"), piling)

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
+
+if TYPE_CHECKING:
+    from cluttergen_jax.physics.doors import DoorLayout
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +28,7 @@ class Layout:
       top: height of the support's top, metres.
       compile_walled: compiles the same model with walls of air (`assets.mjcf.add_air_walls`), for piles;
         None where nothing is piled.
+      doors: what is closed before the last check; None where nothing is.
     """
 
     model: mujoco.MjModel
@@ -33,6 +38,7 @@ class Layout:
     center_of_mass: np.ndarray
     top: float
     compile_walled: Callable[[], mujoco.MjModel] | None = None
+    doors: DoorLayout | None = None
 
     @staticmethod
     def of(

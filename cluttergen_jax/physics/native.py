@@ -23,6 +23,7 @@ from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.geometry import rotate
 from cluttergen_jax.physics import stability
 from cluttergen_jax.physics.crowds import Crowder, CrowdRequest
+from cluttergen_jax.physics.doors import DoorCloser
 from cluttergen_jax.physics.host import (
     SUMS,
     HostPhysics,
@@ -93,7 +94,8 @@ class NativePhysics(HostPhysics):
         num_threads: int = 0,
         max_simulations: int = 128,
     ) -> None:
-        super().__init__(layout.num_objects, config)
+        num_doors = 0 if layout.doors is None else len(layout.doors.names)
+        super().__init__(layout.num_objects, config, num_doors)
         self.layout = layout
         self._num_threads = num_threads
         self.max_simulations = max_simulations
@@ -102,6 +104,10 @@ class NativePhysics(HostPhysics):
         self.probe = OverlapProbe(layout)
         self._walled: Simulations | None = None
         self._lock = threading.Lock()
+        self.closer: DoorCloser | None = None
+        if layout.doors is not None:
+            closed = NativePhysics(layout.doors.closed, config, num_threads, max_simulations)
+            self.closer = DoorCloser(self, closed, num_threads)
 
     @cached_property
     def near_probe(self) -> OverlapProbe:
@@ -128,8 +134,10 @@ class NativePhysics(HostPhysics):
     def stand_batch(
         self, poses: np.ndarray, is_placed: np.ndarray, is_active: np.ndarray
     ) -> Standing:
-        """`stand` for N scenes held in NumPy arrays with one leading axis."""
+        """`stand` for N scenes held in NumPy arrays with one leading axis; a `Closing` where doors close."""
         with self._lock, silent_log():
+            if self.closer is not None:
+                return self.closer.close_block(poses, is_placed, is_active)
             return self.stand_block(poses, is_placed, is_active)
 
     def stand_block(
@@ -208,6 +216,8 @@ class NativePhysics(HostPhysics):
         with self._lock:
             self._cache.clear()
             self._walled = None
+            if self.closer is not None:
+                self.closer.free()
 
     def at_rest(
         self,
@@ -397,6 +407,11 @@ class _Attempt:
             is_finite=self.is_finite,
             config=engine.config,
         )
+        if engine.closer is not None:
+            for row in np.flatnonzero(result.verdict[block] == int(Verdict.STABLE)):
+                scene = (final[row], self.is_placed[row], int(self.focus[row]))
+                if engine.closer.is_in_the_way(*scene):
+                    result.verdict[block[row]] = Verdict.OUTSIDE
         result.num_steps[block] = track.step
         result.poses[block] = final
         result.trajectory[block] = mask_scenes(np, self.trajectory, self.is_finite)

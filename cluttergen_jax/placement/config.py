@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, fields
 from numbers import Integral, Real
 from typing import TYPE_CHECKING, get_args
 
-from cluttergen_jax.config import Containment, Height, Order, Overhang, Poses, Reward
+from cluttergen_jax.config import Containment, DoorState, Height, Order, Overhang, Poses, Reward
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.placement.clutter import CROWDED, Clutter
 from cluttergen_jax.placement.relations import conditions_of, parse_relations, parse_roles
@@ -49,6 +49,7 @@ _WORDS = {
     "overhang": get_args(Overhang),
     "height": get_args(Height),
     "poses": get_args(Poses),
+    "doors": get_args(DoorState),
 }
 """What settings of words allow."""
 
@@ -77,6 +78,7 @@ class PlacementRequest:
     roles: str | Mapping[str, str] | tuple[tuple[str, str], ...] = ""
     clearance: float | None = None
     crowd: float = 0.0
+    doors: DoorState | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,7 +153,7 @@ class PlacementConfig(PlacementRequest):
             )
         for name, allowed in _WORDS.items():
             value = getattr(self, name)
-            if value not in allowed:
+            if value not in allowed and not (name == "doors" and value is None):
                 raise ConfigError(
                     f"{name} = {value!r}",
                     ", ".join(allowed),
@@ -183,6 +185,10 @@ class PlacementConfig(PlacementRequest):
             )
 
     def _check_crowd(self) -> None:
+        # The door would have to be closed before its objects are drawn together.
+        if self.doors == "closed" and self.crowd_targets is not None:
+            given = "objects drawn together (`crowd`) in furniture whose doors are closed then"
+            raise ConfigError(given, "one or the other", "doors='open'")
         if not (isinstance(self.crowd, Real) and 0 <= self.crowd <= 1) or self.crowd is True:
             raise ConfigError(f"crowd = {self.crowd!r}", "0 to 1", "crowd=0.5")
         if not self.crowd or self.clutter is None:

@@ -13,6 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from cluttergen_jax.assets.door_sweep import check_empty
+from cluttergen_jax.assets.doors import Doors
 from cluttergen_jax.assets.height_profile import HeightProfile
 from cluttergen_jax.assets.hollow import hollow_of
 from cluttergen_jax.assets.object import ObjectAsset
@@ -26,6 +28,7 @@ from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import NumberedEngines, Physics
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.containers import BELOW_RIM, INNER, draw_contents
+from cluttergen_jax.placement.doors import poses_on
 from cluttergen_jax.placement.heightmap import HeightMap, make_support_map
 from cluttergen_jax.placement.methods.baselines import costs_of_staying
 from cluttergen_jax.placement.orientations import MAX_RESTING, make_orientations
@@ -151,14 +154,17 @@ def make_problem(
         )
     pool = pool or find_pool(config.pool, names=config.objects)
     chosen = [pool[name] for name in config.objects] if config.objects else list(pool.objects)
-    support = find_support(config.support).on_surface(config.surface)
+    whole = find_support(config.support).on_surface(config.surface)
+    doors = doors_of(whole, config.placement)
+    # Nothing may be taller than what fits once they are closed.
+    support = whole if doors is None else doors.open
     region = config.region or support.region
     check_region(region, support)
     check_number(config.placement.num_objects, len(chosen), config.pool, config.repeat)
     check_surface(chosen, support, config.placement, config.contact, config.region is not None)
     check_room(chosen, support, region, config.placement, config.is_piled)
     check_crowding(chosen, config, support)
-    return compose(chosen, support, config, standing)
+    return compose(chosen, whole, config, standing)
 
 
 @dataclass(frozen=True)
@@ -205,7 +211,11 @@ def compose(
             f"a region of {region}", f"sides from {SMALLEST_REGION} m", "a larger `region`"
         )
     cut = columns_of if sizes is None else sizes.cut
-    world = make_world([*objects, *standing], support, config.stability, config.contact, cut)
+    doors = doors_of(support, config.placement)
+    if doors is not None:
+        support = doors.open
+        config = with_doors_closed(config, doors)
+    world = make_world([*objects, *standing], support, config.stability, config.contact, cut, doors)
     orientations = _orientations_of(world, config, cut)
     geometry = geometry_of(world, orientations)
     asked = None if clutter is None else clutter.contained
@@ -230,6 +240,7 @@ def compose(
         num_started=len(standing),
         map_radius=None if sizes is None else sizes.radius,
         related=related,
+        num_doors=0 if doors is None else len(doors.names),
     )
     if support.named and len(support.asked) > 1:
         rules = _on_surfaces(rules, region, support, world)
@@ -242,6 +253,41 @@ def compose(
     if config.polygon:
         rules = rules.replace(polygon=on_device(np.array(config.polygon)))
     return Problem(config, world, rules, region)
+
+
+def doors_of(support: SupportAsset, placement: PlacementConfig) -> Doors | None:
+    """What is closed when all objects are placed, as the rules decide; None where nothing is.
+
+    Raises:
+      ConfigError: a door is to be closed, and it is not known where it is, or there is none.
+    """
+    return Doors.of(support) if placement.doors == "closed" else None
+
+
+def with_doors_closed(config: ProblemConfig, doors: Doors) -> ProblemConfig:
+    """The config with all decided that follows from doors which are closed.
+
+    What a door hits comes again, with all that leans on it, while attempts are left.
+
+    Raises:
+      ConfigError: they cannot be closed, or not in such scenes.
+    """
+    names = ", ".join(map(repr, doors.names))
+    if config.is_piled:
+        raise ConfigError(
+            f"method 'pile', which lets all objects fall at once, with doors that are to be closed: {names}",
+            "a method that places one object after another",
+            "method='guided', or doors='open'",
+        )
+    if config.engine in ("warp", "jax"):
+        raise ConfigError(
+            f"engine {config.engine!r} with doors that are to be closed: {names}",
+            "the native engine",
+            "engine='native', or doors='open'",
+        )
+    check_empty(doors)
+    placement = replace(config.placement, retry_last=bool(config.placement.ruin_after))
+    return replace(config, engine="native", placement=placement)
 
 
 def _orientations_of(
@@ -349,6 +395,9 @@ def make_setup(
     objects, poses = standing or ((), np.zeros((0, 7), np.float32))
     problem = compose(*assets, config, objects) if assets else make_problem(config, objects, pool)
     check_keep_out(keep_out, problem.region)
+    if problem.world.doors is not None:
+        # A finished scene has its doors closed; objects are placed with them open.
+        poses = poses_on(problem.world.doors.closed, problem.world.support, objects, poses)
     return Setup(problem, keep_out_of(keep_out), start_of(problem.world, poses))
 
 

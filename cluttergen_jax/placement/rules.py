@@ -39,6 +39,7 @@ from cluttergen_jax.placement.surface_set import SurfaceSet
 from cluttergen_jax.placement.types import (
     Body,
     Counts,
+    DoorRecord,
     Episode,
     Geometry,
     History,
@@ -48,7 +49,7 @@ from cluttergen_jax.placement.types import (
     Transition,
     choose,
 )
-from cluttergen_jax.types import Array, Settling, Standing, Verdict
+from cluttergen_jax.types import Array, Closing, Settling, Standing, Verdict
 
 _OWN_SHARE = 1 / 3
 """Of what a narrow object has on a flat table: so much support margin is asked of it at most. Of a round face
@@ -236,6 +237,7 @@ class Rules(struct.PyTreeNode, eq=False):
       surfaces: of which one is drawn for each attempt, with its region; None where there is one.
       polygon: f32[E, 2], what of the region counts, world x and y, or the surface's frame where it is not
         level; None for all of it.
+      num_doors: D, doors that are closed when all slots are filled.
     """
 
     config: PlacementConfig = struct.field(pytree_node=False)
@@ -251,6 +253,7 @@ class Rules(struct.PyTreeNode, eq=False):
     related: RelatedObjects | None = None
     surfaces: SurfaceSet | None = None
     polygon: Array | None = None
+    num_doors: int = struct.field(pytree_node=False, default=0)
 
     @property
     def simulator(self) -> Physics:
@@ -310,6 +313,8 @@ class Rules(struct.PyTreeNode, eq=False):
         )
         if self.is_crowded:
             episode = episode.replace(num_beside=jnp.int32(0), num_leaning=jnp.int32(0))
+        if self.num_doors:
+            episode = episode.replace(doors=DoorRecord.empty(self.num_doors))
         if self.surfaces is not None:
             nowhere = jnp.full(self.geometry.num_objects, -1, jnp.int32)
             episode = episode.replace(surface=nowhere)
@@ -694,14 +699,32 @@ class Rules(struct.PyTreeNode, eq=False):
             drift=jnp.where(is_filled, jnp.max(standing.shift), episode.drift),
             counts=counts.replace(simulated_steps=counts.simulated_steps + standing.num_steps),
         )
-        return self._retry(after, standing, is_filled) if self.config.retry_last else after
+        if after.doors is not None and isinstance(standing, Closing):
+            closed = after.doors.with_closing(standing)
+            after = after.replace(doors=choose(is_filled, closed, after.doors))
+        after = self._retry(after, standing, is_filled) if self.config.retry_last else after
+        if not isinstance(standing, Closing):
+            return after
+        # What is placed again is placed with the doors open.
+        is_last = is_filled & after.is_over
+        assert after.doors is not None
+        doors = after.doors.replace(travel=jnp.where(is_last, after.doors.travel, 0.0))
+        return after.replace(
+            poses=jnp.where(is_last, standing.poses, after.poses),
+            doors=choose(is_filled, doors, after.doors),
+        )
 
     def _retry(self, episode: Episode, standing: Standing, is_filled: Array) -> Episode:
         """What moved in the last check is taken away and comes again, if attempts are left."""
         moved = has_moved(standing.shift, standing.turn, self.physics.config)
+        if isinstance(standing, Closing):
+            moved |= jnp.arange(self.geometry.num_objects) == standing.hit
         moved &= episode.is_placed & ~episode.is_started
         fewer = self.place_again(episode, moved, 6)
-        is_crept = is_filled & (standing.verdict == Verdict.CREPT)
+        is_crept = standing.verdict == Verdict.CREPT
+        if isinstance(standing, Closing):
+            is_crept |= standing.verdict == Verdict.BLOCKED
+        is_crept &= is_filled
         again = is_crept & jnp.any(moved) & ~self.is_spent(fewer)
         return choose(again, fewer, episode)
 

@@ -7,7 +7,7 @@ import jaxlie
 from flax import struct
 
 from cluttergen_jax.placement.region import Region, from_pose, safe_poses
-from cluttergen_jax.placement.types import Counts, Episode
+from cluttergen_jax.placement.types import Counts, DoorRecord, Episode
 from cluttergen_jax.types import Array
 
 BLOCK_SIZE = 256
@@ -38,6 +38,7 @@ class SceneBatch(struct.PyTreeNode):
       num_beside: i32, pairs of objects that touch from the side, and num_leaning: i32, objects that lean;
         None where neither was counted.
       shelf: i32, the number of the sampler's shelf that `object_index` is about; None where there is none.
+      doors: what closing them came to; None where none are closed.
     """
 
     object_index: Array
@@ -57,6 +58,7 @@ class SceneBatch(struct.PyTreeNode):
     shelf: Array | None = None
     num_beside: Array | None = None
     num_leaning: Array | None = None
+    doors: DoorRecord | None = None
 
     def __repr__(self) -> str:
         # Arrays may be traced, or hold anything while a pytree is taken apart.
@@ -94,4 +96,5 @@ def scene_of(episode: Episode) -> SceneBatch:
         num_touching=support_graph.num_touching(episode.is_placed),
         num_beside=episode.num_beside,
         num_leaning=episode.num_leaning,
+        doors=episode.doors,
     )

@@ -34,6 +34,7 @@ from cluttergen_jax.placement.problem import (
     Setup,
     WorldSizes,
     compose,
+    doors_of,
     keep_out_of,
 )
 from cluttergen_jax.placement.region import KeepOut
@@ -131,7 +132,9 @@ class ShelfWorlds:
         self.support = support
         self.keep_out = keep_out
         self._read = read
-        engines = NumberedEngines(config.shelf, config.stability, self._make_engine)
+        doors = doors_of(support, config.placement)
+        num_doors = 0 if doors is None else len(doors.names)
+        engines = NumberedEngines(config.shelf, config.stability, self._make_engine, num_doors)
         self._sizes = WorldSizes(engines, radius, lru_cache(_KEPT_COLUMNS)(columns_of))
         self._names: list[tuple[str, ...]] = []
         self._worlds: OrderedDict[int, World] = OrderedDict()
@@ -220,7 +223,8 @@ class Shelves:
         check_region(region, support)
         check_keep_out(keep_out, region)
         check_number(config.placement.num_objects, config.shelf, config.pool)
-        self._check_sizes(support, region)
+        doors = doors_of(support, config.placement)
+        self._check_sizes(support if doors is None else doors.open, region)
         sides = 2 if config.placement.poses == "upright" else 3
         sizes = [0.5 * float(np.linalg.norm(each.size[:sides])) for each in pool.facts]
         self._worlds = ShelfWorlds(

@@ -13,7 +13,7 @@ from flax import struct
 from cluttergen_jax.assets.support_map import VOID
 from cluttergen_jax.placement.boxes import Boxes
 from cluttergen_jax.placement.region import KeepOut, Region, safe_poses
-from cluttergen_jax.types import Array, Settling
+from cluttergen_jax.types import Array, Closing, Settling
 
 T = TypeVar("T")
 
@@ -345,6 +345,37 @@ class SupportGraph(struct.PyTreeNode):
         return jnp.sum(jnp.triu(touch, 1)).astype(jnp.int32)
 
 
+class DoorRecord(struct.PyTreeNode):
+    """What closing the doors of an episode came to. D doors that close.
+
+    Attributes:
+      travel: f32[D], by which each has moved from where it stands open, radians or metres.
+      num_hits: i32, how often one hit an object or did not close.
+      door, hit: i32, the door and the object (-1 for none) of the last time; -1 if there was none.
+    """
+
+    travel: Array
+    num_hits: Array
+    door: Array
+    hit: Array
+
+    @staticmethod
+    def empty(num_doors: int) -> DoorRecord:
+        """Doors that stand open."""
+        none = jnp.int32(-1)
+        return DoorRecord(jnp.zeros(num_doors, jnp.float32), jnp.int32(0), none, none)
+
+    def with_closing(self, closing: Closing) -> DoorRecord:
+        """The record with one more closing."""
+        is_hit = closing.door >= 0
+        return DoorRecord(
+            travel=closing.travel,
+            num_hits=self.num_hits + is_hit,
+            door=jnp.where(is_hit, closing.door, self.door),
+            hit=jnp.where(is_hit, closing.hit, self.hit),
+        )
+
+
 class Episode(struct.PyTreeNode):
     """Filling one support. K objects in the world, S slots.
 
@@ -372,6 +403,7 @@ class Episode(struct.PyTreeNode):
       roles: i32[Q], the objects of `Rules.related`'s roles; None where nothing is related.
       num_beside: i32, pairs of objects that touch from the side, and num_leaning: i32, objects that lean, at
         the end; None where neither is counted.
+      doors: what closing them came to; None where none are closed.
     """
 
     key: Array
@@ -395,6 +427,7 @@ class Episode(struct.PyTreeNode):
     surface: Array | None = None
     num_beside: Array | None = None
     num_leaning: Array | None = None
+    doors: DoorRecord | None = None
 
     @property
     def safe_poses(self) -> Array:

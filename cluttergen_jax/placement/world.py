@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from cluttergen_jax.assets.doors import Doors
 from cluttergen_jax.assets.height_profile import HeightProfile, height_profile_of
 from cluttergen_jax.assets.mjcf import add_air_walls, populated_spec
 from cluttergen_jax.assets.object import ObjectAsset
@@ -21,6 +22,7 @@ from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.margin import support_margin
+from cluttergen_jax.placement.doors import door_layout
 from cluttergen_jax.placement.heightmap import map_of_surfaces
 from cluttergen_jax.placement.types import Geometry, Orientations
 
@@ -41,6 +43,7 @@ class World:
       support: the table.
       layout: the compiled model and what belongs to what.
       columns: each object seen from above.
+      doors: of the table, which are closed when all objects are placed; None where none are.
     """
 
     names: tuple[str, ...]
@@ -48,6 +51,12 @@ class World:
     support: SupportAsset
     layout: Layout
     columns: tuple[HeightProfile, ...]
+    doors: Doors | None = None
+
+    @property
+    def finished_support(self) -> SupportAsset:
+        """The table as finished scenes have it."""
+        return self.support if self.doors is None else self.doors.closed
 
     @property
     def num_objects(self) -> int:
@@ -86,8 +95,9 @@ def compile_layout(
     support: SupportAsset,
     stability: StabilityConfig,
     contact: ContactConfig,
+    doors: Doors | None = None,
 ) -> Layout:
-    """Objects and a support as one model."""
+    """Objects and a support, with its doors open if it has some that close, as one model."""
     make_spec = partial(populated_spec, names, objects, support, stability.timestep, contact)
     model = make_spec().compile()
 
@@ -98,7 +108,15 @@ def compile_layout(
 
     # Bodies keep their parking place as qpos0, at the identity orientation.
     assert np.all(model.qpos0.reshape(-1, 7)[:, 3] == 1.0)
-    return Layout.of(model, support.lowest, compile_walled)
+    layout = Layout.of(model, support.lowest, compile_walled)
+    if doors is None:
+        return layout
+    closed = compile_layout(names, objects, doors.closed, stability, contact)
+
+    def compile_moving() -> mujoco.MjModel:
+        return make_spec(doors=doors.numbers).compile()
+
+    return replace(layout, doors=door_layout(doors, closed, compile_moving))
 
 
 def make_world(
@@ -107,10 +125,12 @@ def make_world(
     stability: StabilityConfig,
     contact: ContactConfig,
     cut: Callable[[ObjectAsset], HeightProfile] = columns_of,
+    doors: Doors | None = None,
 ) -> World:
     """Compiles a world.
 
     Args:
+      doors: of the support, which is the open one then.
       cut: makes each asset's columns; whoever makes many worlds of the same objects keeps them.
 
     Raises:
@@ -126,8 +146,9 @@ def make_world(
         names=names,
         objects=tuple(objects),
         support=support,
-        layout=compile_layout(names, objects, support, stability, contact),
+        layout=compile_layout(names, objects, support, stability, contact, doors),
         columns=tuple(columns[id(asset)] for asset in objects),
+        doors=doors,
     )
 
 
@@ -160,7 +181,8 @@ def geometry_of(world: World, orientations: Orientations | None = None) -> Geome
         column_bottom.append(pad_rows(columns.bottom[columns.sample], most))
     runs = [surface_runs(columns.surface) for columns in world.columns]
     owner = np.repeat(np.arange(len(runs), dtype=np.int32), [len(run) for run in runs])
-    boxes = [(*box.center, *box.half_extents, box.yaw) for box in world.support.boxes]
+    support = world.support if world.doors is None else world.doors.with_obstacles
+    boxes = [(*box.center, *box.half_extents, box.yaw) for box in support.boxes]
     found = Geometry(
         half_extents=np.stack([asset.half_extents for asset in world.objects]),
         center_of_mass=world.layout.center_of_mass,
@@ -174,7 +196,7 @@ def geometry_of(world: World, orientations: Orientations | None = None) -> Geome
         boxes=np.array(boxes).reshape(-1, 7),
         top=np.array(world.support.top),
         orientations=orientations,
-        support_map=map_of_surfaces(world.support),
+        support_map=map_of_surfaces(support),
     )
     return on_device(found)
 

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 from PIL import Image
 
+from cluttergen_jax.assets.doors import are_closed
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.mjcf import (
     VISUAL_GROUP,
@@ -238,12 +239,16 @@ def close_points(
 ) -> np.ndarray:
     """f64[P, 3]: all corners of the objects' collision parts and of the support's region, world frame.
 
+    Of a support that scenes close: all its corners, as nothing of what is in it is seen.
+
     Raises:
       ConfigError: there are neither objects nor a support.
     """
     points = []
     if support is not None:
         points.append(support.region_points[1:])
+        if are_closed(support):
+            points.extend(piece.mesh.vertices for piece in support.collision_pieces)
     for asset, pose in zip(assets, np.asarray(poses, np.float64), strict=True):
         points.extend(transform_points(pose, part.vertices) for part in asset.parts)
     if not points:

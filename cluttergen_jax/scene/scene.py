@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
 
+from cluttergen_jax.assets.doors import with_doors_open
 from cluttergen_jax.assets.mjcf import new_spec, populated_spec
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import product, transform_points
+from cluttergen_jax.placement.doors import poses_on
 from cluttergen_jax.scene.cameras import FixedCamera
 
 _UNIT = 1e-3
@@ -137,6 +139,16 @@ class Scene:
     def assets(self) -> dict[str, ObjectAsset]:
         """Each asset of the scene once, by its own name."""
         return {asset.name: asset for asset in self.objects}
+
+    def open_doors(self) -> Scene:
+        """The scene with those doors open that were closed behind its objects; drawers carry what is in them.
+
+        Raises:
+          ConfigError: there are none.
+        """
+        support = with_doors_open(self.support)
+        poses = poses_on(self.support, support, self.objects, self.poses)
+        return replace(self, support=support, poses=poses)
 
     def to_mjspec(self, prefix: str = "", *, support: bool = True) -> mujoco.MjSpec:
         """The scene as a specification of its own, every name with `prefix` before it.

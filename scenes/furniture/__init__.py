@@ -17,6 +17,7 @@ from cluttergen_jax.assets.modeller.bins import SIZES, open_container
 from cluttergen_jax.assets.modeller.draw import Draw
 from cluttergen_jax.assets.support import SupportAsset, cuboid_table
 from cluttergen_jax.errors import ConfigError, PoolError
+from scenes.furniture.cupboards import cupboard
 from scenes.furniture.desks import drawer_desk, l_desk, shelf_desk
 from scenes.furniture.shelving import (
     bookcase,
@@ -64,6 +65,7 @@ SUPPORTS: dict[str, Callable[[Draw], SupportAsset]] = {
     "bookcase": bookcase,
     "rack": rack,
     "kitchen_drawer": kitchen_drawer,
+    "cupboard": cupboard,
     "dish_rack": dish_rack,
     "tilted_board_5": partial(tilted_board, degrees=5),
     "tilted_board_10": partial(tilted_board, degrees=10),

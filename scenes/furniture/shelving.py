@@ -13,10 +13,11 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.modeller import bins
 from cluttergen_jax.assets.modeller import solids as cad
 from cluttergen_jax.assets.modeller.draw import Draw
+from cluttergen_jax.assets.shape import Joint
 from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, Surface
 from scenes.furniture import joinery
 
-_Slab = tuple[tuple[float, float, float], tuple[float, float], float]
+Slab = tuple[tuple[float, float, float], tuple[float, float], float]
 """Size, place and lower height of a board."""
 
 
@@ -31,21 +32,21 @@ def bookcase(vary: Draw) -> SupportAsset:
     wood = vary.color(bins.WOODS[3], *bins.WOODS)
     inner = width - 2 * sheet
     front = depth - back
-    shelves: list[_Slab] = []
+    shelves: list[Slab] = []
     pitch = (height - plinth - sheet) / 3
     for k in (2, 1, 0):
         shelves.append(((inner, front, sheet), (0, -back / 2), plinth + k * pitch))
-    panels: list[_Slab] = [
+    panels: list[Slab] = [
         *(((sheet, depth, height - sheet), (s * (width - sheet) / 2, 0.0), 0.0) for s in (-1, 1)),
         ((inner, back, height - sheet - plinth), (0.0, (depth - back) / 2), plinth),
         ((inner, sheet, plinth), (0.0, -depth / 2 + 0.03), 0.0),
     ]
     lid = ((width, depth, sheet), (0.0, 0.0), height - sheet)
-    return _furniture(
+    return furniture(
         "bookcase",
         [
-            _on("top", lid),
-            *(_on(f"shelf_{k}", each, pitch - sheet) for k, each in enumerate(shelves, 1)),
+            on_slab("top", lid),
+            *(on_slab(f"shelf_{k}", each, pitch - sheet) for k, each in enumerate(shelves, 1)),
         ],
         [bins.slab(*each) for each in (lid, *shelves, *panels)],
         [
@@ -67,20 +68,20 @@ def rack(vary: Draw) -> SupportAsset:
     wood = vary.color(bins.WOODS[1], *bins.WOODS)
     paint = vary.color(*joinery.METALS, spread=0.02)
     # The lower board lies between the posts, so that none of them stands on it.
-    boards: list[_Slab] = [
+    boards: list[Slab] = [
         ((width, depth, sheet), (0.0, 0.0), top - sheet),
         ((width - 2 * post, depth, sheet), (0.0, 0.0), low - sheet),
     ]
     places = joinery.mirror_corners((width - post) / 2, (depth - post) / 2)
-    posts: list[_Slab] = [((post, post, top - sheet), place, 0.0) for place in places]
-    rails: list[_Slab] = [
+    posts: list[Slab] = [((post, post, top - sheet), place, 0.0) for place in places]
+    rails: list[Slab] = [
         ((post / 2, depth - 2 * post, 0.03), (s * (width - post) / 2, 0.0), z)
         for s in (-1, 1)
         for z in (0.08, low - sheet)
     ]
-    return _furniture(
+    return furniture(
         "rack",
-        [_on("top", boards[0]), _on("shelf_1", boards[1], top - sheet - low)],
+        [on_slab("top", boards[0]), on_slab("shelf_1", boards[1], top - sheet - low)],
         [bins.slab(*each) for each in (*boards, *posts, *rails)],
         [
             *((joinery.board(*each, 0.004), wood) for each in boards),
@@ -102,21 +103,21 @@ def kitchen_drawer(vary: Draw) -> SupportAsset:
     wood = vary.color(*bins.WOODS)
     paint = vary.color(*joinery.PAINTS, spread=0.03)
     back = reach / 2
-    carcass: _Slab = ((width, depth, height - sheet - 0.08), (0.0, back), 0.08)
+    carcass: Slab = ((width, depth, height - sheet - 0.08), (0.0, back), 0.08)
     face = back - depth / 2
-    lid: _Slab = ((width + 0.01, depth + 0.02, sheet), (0.0, back), height - sheet)
+    lid: Slab = ((width + 0.01, depth + 0.02, sheet), (0.0, back), height - sheet)
     low = height - sheet - 0.15
     deep = 0.105
     inner = width - 0.04 - 2 * wall
     length = reach - 0.02
     middle = face - length / 2
-    bottom: _Slab = ((inner + 2 * wall, length, floor), (0.0, middle), low)
-    walls: list[_Slab] = [
+    bottom: Slab = ((inner + 2 * wall, length, floor), (0.0, middle), low)
+    walls: list[Slab] = [
         *(((wall, length, deep), (s * (inner + wall) / 2, middle), low + floor) for s in (-1, 1)),
         ((inner, wall, deep), (0.0, face - wall / 2), low + floor),
     ]
-    front: _Slab = ((width - 0.006, 0.02, 0.145), (0.0, face - length - 0.01), low)
-    doors: list[_Slab] = [
+    front: Slab = ((width - 0.006, 0.02, 0.145), (0.0, face - length - 0.01), low)
+    doors: list[Slab] = [
         (
             (width - 0.006, 0.02, (low - 0.09) / 2 - 0.004),
             (0.0, face - 0.01),
@@ -131,10 +132,10 @@ def kitchen_drawer(vary: Draw) -> SupportAsset:
             *((d[1][1], d[2] + d[0][2] - 0.06) for d in doors),
         )
     ]
-    inside: _Slab = ((inner, length - wall, floor), (0.0, middle - wall / 2), low)
-    return _furniture(
+    inside: Slab = ((inner, length - wall, floor), (0.0, middle - wall / 2), low)
+    return furniture(
         "kitchen_drawer",
-        [_on("drawer", inside), _on("top", lid)],
+        [on_slab("drawer", inside), on_slab("top", lid)],
         [bins.slab(*each) for each in (carcass, lid, bottom, *walls, front, *doors)],
         [
             (joinery.board(*lid, 0.006), wood),
@@ -159,14 +160,14 @@ def dish_rack(vary: Draw) -> SupportAsset:
     steel = vary.color(*joinery.METALS[1:], spread=0.02)
     plastic = vary.color(*joinery.PAINTS, spread=0.03)
     top = foot + floor
-    tray: _Slab = ((width, depth, floor), (0.0, 0.0), foot)
+    tray: Slab = ((width, depth, floor), (0.0, 0.0), foot)
     comb = depth / 2 - 0.075
     side = depth / 2 - wire
     xs = np.linspace(-width / 2 + 0.05, width / 2 - 0.05, max(int(width / 0.042), 4))
-    pegs: list[_Slab] = [
+    pegs: list[Slab] = [
         ((wire, wire, 0.085), (x, y), top) for x in xs.tolist() for y in (comb, side - 0.02)
     ]
-    walls: list[_Slab] = []
+    walls: list[Slab] = []
     for z in (0.5 * rim, rim):
         walls += [
             ((width, wire, wire), (0.0, s * (depth - wire) / 2), top + z - wire) for s in (-1, 1)
@@ -176,8 +177,8 @@ def dish_rack(vary: Draw) -> SupportAsset:
             for s in (-1, 1)
         ]
     places = joinery.mirror_corners((width - wire) / 2, (depth - wire) / 2)
-    posts: list[_Slab] = [((wire, wire, rim), place, top) for place in places]
-    feet: list[_Slab] = [
+    posts: list[Slab] = [((wire, wire, rim), place, top) for place in places]
+    feet: list[Slab] = [
         ((0.03, 0.03, foot), place, 0.0)
         for place in joinery.mirror_corners(width / 2 - 0.03, depth / 2 - 0.03)
     ]
@@ -185,7 +186,7 @@ def dish_rack(vary: Draw) -> SupportAsset:
     front = -depth / 2 + wire
     half = ((width - 2 * wire) / 2, (edge - front) / 2)
     region = Rectangle((0.0, (edge + front) / 2), half)
-    return _furniture(
+    return furniture(
         "dish_rack",
         [Surface("tray", (0.0, 0.0, top), region, _ring(region))],
         [bins.slab(*each) for each in (tray, *walls, *posts, *pegs, *feet)],
@@ -219,13 +220,13 @@ def tilted_board(vary: Draw, degrees: int) -> SupportAsset:
     drawn = joinery.board((width, depth, sheet), (0.0, 0.0), -sheet, 0.004).rotate((degrees, 0, 0))
     x = 0.40 * width
     y = 0.30 * depth
-    legs: list[_Slab] = []
+    legs: list[Slab] = []
     for s in (-1, 1):
         under = height + s * y * math.tan(slope) - sheet / math.cos(slope) - 0.022 * math.tan(slope)
         legs += [((0.045, 0.045, under), (t * x, s * y), 0.0) for t in (-1, 1)]
-    rails: list[_Slab] = [((0.03, 2 * y, 0.05), (s * x, 0.0), 0.12) for s in (-1, 1)]
+    rails: list[Slab] = [((0.03, 2 * y, 0.05), (s * x, 0.0), 0.12) for s in (-1, 1)]
     rails.append(((2 * x, 0.03, 0.05), (0.0, 0.0), 0.12))
-    support = _furniture(
+    support = furniture(
         f"tilted_board_{degrees}",
         [surface],
         [bins.slab(*each) for each in (*legs, *rails)],
@@ -245,15 +246,18 @@ def steps(vary: Draw) -> SupportAsset:
     rise = vary(0.17, 0.08)
     wood = vary.color(bins.WOODS[1], *bins.WOODS)
     nosing = 0.022
-    treads: list[_Slab] = []
-    blocks: list[_Slab] = []
+    treads: list[Slab] = []
+    blocks: list[Slab] = []
     for k in (3, 2, 1):
         y = (k - 2) * tread
         treads.append(((width, tread, nosing), (0.0, y), k * rise - nosing))
         blocks.append(((width - 0.03, tread, k * rise - nosing), (0.0, y), 0.0))
-    return _furniture(
+    return furniture(
         "steps",
-        [_on("top", treads[0]), *(_on(f"step_{k}", each) for k, each in enumerate(treads[1:], 1))],
+        [
+            on_slab("top", treads[0]),
+            *(on_slab(f"step_{k}", each) for k, each in enumerate(treads[1:], 1)),
+        ],
         [bins.slab(*each) for each in (*treads, *blocks)],
         [
             *((joinery.board(*each, 0.004), wood) for each in treads),
@@ -262,7 +266,7 @@ def steps(vary: Draw) -> SupportAsset:
     )
 
 
-def _on(name: str, slab: _Slab, free_height: float = math.inf) -> Surface:
+def on_slab(name: str, slab: Slab, free_height: float = math.inf) -> Surface:
     """The upper face of a board as a surface."""
     size, (x, y), low = slab
     region = Rectangle((float(x), float(y)), (size[0] / 2, size[1] / 2))
@@ -282,13 +286,15 @@ def _rod(size: Sequence[float], place: Sequence[float], low: float) -> Manifold:
     return rod.rotate(turn).translate((place[0], place[1], low + size[2] / 2))
 
 
-def _furniture(
+def furniture(
     name: str,
     surfaces: Sequence[Surface],
     boxes: Sequence[Box],
     pieces: Sequence[cad.Painted],
     label: str = "",
+    joints: Sequence[Joint] = (),
 ) -> SupportAsset:
+    """Puts furniture with several surfaces together, the first of which is used by default."""
     first = surfaces[0]
     table = bins.table(name, first.position[2], first.region, boxes, pieces, label)
-    return replace(table, named=tuple(surfaces))
+    return replace(table, named=tuple(surfaces), joints=tuple(joints))

@@ -119,7 +119,7 @@ def test_a_flat_top_is_one_surface_and_its_file_is_of_the_first_format(tmp_path)
         (lambda r: r["surfaces"][0].update(name="../x"), "called"),
         (lambda r: r["parts"].append([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]), "volume"),
         (lambda r: r["parts"].append([[0, 0, 1e6], [1, 0, 0], [0, 1, 0], [1, 1, 1]]), "farther"),
-        (lambda r: r.update(format=4), "format"),
+        (lambda r: r.update(format=5), "format"),
     ],
 )
 def test_damaged_surfaces_are_refused(change, word, tmp_path):

@@ -14,10 +14,13 @@ import numpy as np
 
 from cluttergen_jax.assets import ObjectAsset
 from cluttergen_jax.assets.cloud import ply_of, scene_points
+from cluttergen_jax.assets.doors import with_doors_open
+from cluttergen_jax.config import DoorState
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.generation.sources import BankSource, FileSource, open_source
 from cluttergen_jax.placement import Replay
+from cluttergen_jax.placement.doors import poses_on
 from cluttergen_jax.progress import track
 from cluttergen_jax.rendering import PictureConfig, contact_sheet, save_png
 from cluttergen_jax.rendering.config import QUALITIES, FilmConfig, Quality
@@ -75,6 +78,7 @@ class Rendering:
       columns: of the contact sheet.
       bop: of a BOP dataset.
       cameras: that see each scene, in place of the look's view.
+      doors: "open" shows finished scenes with those doors open that they close.
     """
 
     products: frozenset[str]
@@ -88,6 +92,7 @@ class Rendering:
     columns: int
     bop: BopConfig
     cameras: tuple[CameraPlan, ...] = ()
+    doors: DoorState = "closed"
 
     def make(self, source: str, scenes: Sequence[int] | Literal["all"] | None) -> RenderReport:
         """Makes everything that is asked for of scenes of a source; see `chosen_numbers`."""
@@ -106,7 +111,7 @@ class Rendering:
         with ExitStack() as stack:
             largest = np.max([plan.size for plan in self.cameras] or [_LARGE], axis=0).tolist()
             drawn = stack.enter_context(ViewMaker(self._picture(tuple(largest), "fine")))
-            work = _Work(opened, singles, sizes[_SMALL], is_drawn, drawn)
+            work = _Work(opened, singles, sizes[_SMALL], is_drawn, drawn, self.doors)
             if self._makes("bop"):
                 size = self.cameras[0].size if self.cameras else REALSENSE_SIZE
                 picture = self._picture(size, "draft")
@@ -121,7 +126,7 @@ class Rendering:
         if self._makes("sheet"):
             # Called after its source: those of several lie in one folder.
             path = self.out / f"{_plain(opened.name)}-sheet.png"
-            made.append(save_png(self._sheet(opened, numbers, path.name), path))
+            made.append(save_png(self._sheet(work, numbers, path.name), path))
         if replaced := there.intersection(made):
             notes += (f"replaced {len(replaced)} files of the same names that were in {self.out}",)
         return RenderReport(tuple(made), tuple(failures), notes)
@@ -260,9 +265,9 @@ class Rendering:
     def _write_film(self, frames: Iterable[np.ndarray], count: int, path: Path) -> Iterator[Path]:
         yield save_film(track(frames, path.name, count, "frame"), path, self.pace.fps)
 
-    def _sheet(self, source: SceneSource, numbers: list[int], title: str) -> np.ndarray:
+    def _sheet(self, work: _Work, numbers: list[int], title: str) -> np.ndarray:
         picture = self._picture(_CELL, "draft" if len(numbers) > _SHEET else "fine")
-        recordings = [source.still(number) for number in numbers]
+        recordings = [work.still(number) for number in numbers]
         images = []
         with ViewMaker(picture) as maker:
             for place, each in enumerate(track(recordings, title, len(recordings), "picture")):
@@ -285,6 +290,7 @@ class _Work:
       small: the picture of films.
       is_drawn: there is an OpenGL.
       maker: draws them. coming: numbers of the scenes that are drawn next.
+      doors: "open" shows them with those doors open that they close.
       dataset: BOP, which the scenes are added to, if it is asked for.
     """
 
@@ -293,6 +299,7 @@ class _Work:
     small: PictureConfig
     is_drawn: bool
     maker: ViewMaker
+    doors: DoorState = "closed"
     coming: tuple[int, ...] = ()
     dataset: BopScenes | None = None
     _stills: dict[int, Replay] = field(default_factory=dict)
@@ -319,7 +326,15 @@ class _Work:
 
     def still(self, number: int) -> Replay:
         """The finished scene."""
-        return self._stills.get(number) or self.source.still(number)
+        recording = self._stills.get(number) or self.source.still(number)
+        return recording if self.doors == "closed" else _with_doors_open(recording)
+
+
+def _with_doors_open(recording: Replay) -> Replay:
+    """A finished scene as `Scene.open_doors` has it."""
+    support = with_doors_open(recording.support)
+    poses = poses_on(recording.support, support, recording.objects, recording.poses)
+    return replace(recording, support=support, poses=poses)
 
 
 def chosen_numbers(

@@ -106,7 +106,7 @@ def setup_of(bank: Bank, **changes: Any) -> Setup:
         config = replace(config, shelf=0, weights=(), balance="")
     num_placed = len(names) - (len(standing[0]) if standing else 0)
     objects = [bank.object(base_name(name)) for name in names[:num_placed]]
-    return make_setup(replace(config, **changes), keep_out, standing, (objects, bank.support))
+    return make_setup(replace(config, **changes), keep_out, standing, (objects, bank.open_support))
 
 
 def shelves_of(bank: Bank) -> Shelves:
@@ -126,7 +126,7 @@ def shelves_of(bank: Bank) -> Shelves:
     }
     known = {each.name: each for each in pool.facts}
     return Shelves(
-        replace(pool, objects=StoredObjects(readers, known)), config, bank.support, keep_out
+        replace(pool, objects=StoredObjects(readers, known)), config, bank.open_support, keep_out
     )
 
 

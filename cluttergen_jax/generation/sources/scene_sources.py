@@ -74,7 +74,7 @@ class BankSource:
             objects=tuple(self._object(base_name(name)) for name in row.objects),
             names=row.objects,
             poses=row.poses,
-            support=self.bank.support,
+            support=self.bank.support_of(row),
             region=self._region,
             is_placed=np.ones(len(row.objects), bool),
             is_success=row.is_success,

@@ -3,7 +3,7 @@
     bank.json               how it was made; what makes another run the same bank; digests of its files
     scenes-000000.parquet   block 0: scenes 0 to 255, a row each, failures included; and bank.json once more
     scenes-000000-000767.parquet    the same of blocks 0 to 767: a shard, in banks of more than 768 blocks
-    assets/objects/NAME/    each object once; assets/support/ the table
+    assets/objects/NAME/    each object once; assets/support/ the table, support_open/ with open doors
     assets/textures/        the objects' images, each once
     bank_reader.py          reads the bank where this package is not
     scenes/000000.xml .png  successful scenes as MJCF, meshes by relative path, and their pictures
@@ -25,6 +25,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from cluttergen_jax.assets.doors import with_joints_at
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash, read_object
 from cluttergen_jax.assets.support import SupportAsset
@@ -206,6 +207,22 @@ class Bank:
             support = read_support(inside(self.path, "assets/support"))
         self._check_asset("support", support_hash(support), self.assets["support"])
         return support
+
+    @cached_property
+    def open_support(self) -> SupportAsset:
+        """The table as objects were placed on it: with its doors open where its scenes close them."""
+        if "support_open" not in self.assets:
+            return self.support
+        with _mended_by_generate():
+            support = read_support(inside(self.path, "assets/support_open"))
+        self._check_asset("support", support_hash(support), self.assets["support_open"])
+        return support
+
+    def support_of(self, row: BankRow) -> SupportAsset:
+        """The table with its joints where a scene has them: of one that failed a door may stand open."""
+        if row.joints is None or row.is_success:
+            return self.support
+        return with_joints_at(self.open_support, dict(enumerate(row.joints)))
 
     @property
     def assets(self) -> AssetDigests:

@@ -23,6 +23,7 @@ from cluttergen_jax.scene.bank.table import (
     CERTIFICATE,
     CLUTTER,
     COUNTED,
+    DOORS,
     SCHEMA,
     count_column,
 )
@@ -59,6 +60,9 @@ _COLUMNS = {
     "num_leaning": "objects that lean; null but for crowds",
     "near": "metres, the mean over the objects of the gap in plan to the nearest other one, as boxes",
     "occlusion": "the mean share of an object that others hide from eight cameras 30 degrees up, as boxes",
+    "joints": "where the support's joints are in its order, radians or metres",
+    "num_door_hits": "how often a door hit an object or did not close",
+    "door_hit": "the last time, such as `door_left hits mug`",
     "seconds": "that the person who made the scene spent on it, pauses of more than a minute left out",
     "residual_speed": "after `cluttergen certify`: m/s, the fastest object 0.25 s after the scene is let go",
     "residual_angular_speed": "after `certify`: rad/s, likewise",
@@ -123,7 +127,13 @@ def card_text(bank: Bank, stats: BankStats) -> str:
         ),
         _about(bank, stats),
         _figures(stats),
-        _files(bank.path, BY_HAND if bank.recipe.get("method") == HAND else ()),
+        _files(
+            bank.path,
+            [
+                *(BY_HAND if bank.recipe.get("method") == HAND else ()),
+                *(() if stats.door_hits is None else DOORS),
+            ],
+        ),
         _recipe_section(bank.recipe, bank.record.get("bits", [])),
         _stability(bank),
         assets_section(assets, bank.support),
@@ -175,6 +185,7 @@ def _figures(stats: BankStats) -> str:
         ("scenes that repeat another", sum(len(group) - 1 for group in stats.duplicates)),
     ]
     rows += [(f"verdict {name}", number) for name, number in stats.verdicts.items()]
+    rows += [(f"door: {text}", number) for text, number in (stats.door_hits or {}).items()]
     rows += [(f"clutter: {each.name}", each.line().partition(" ")[2]) for each in stats.clutter]
     facts = (fact.partition(": ") for fact in stats.certificate_lines())
     rows += [(name, value) for name, _, value in facts]

@@ -11,7 +11,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, TypedDict, TypeVar
+from typing import Any, NotRequired, TypedDict, TypeVar
 
 from cluttergen_jax import bank_reader
 from cluttergen_jax.assets.object_files import NAME_PATTERN
@@ -61,10 +61,11 @@ class Recipe(TypedDict, total=False):
 
 
 class AssetDigests(TypedDict):
-    """`object_hash` by name, and `support_hash`."""
+    """`object_hash` by name, and `support_hash`; of the open one where scenes close doors."""
 
     objects: dict[str, str]
     support: str | None
+    support_open: NotRequired[str]
 
 
 class Record(TypedDict, total=False):

@@ -177,7 +177,7 @@ def _scene(bank: Bank, row: BankRow, objects: Sequence[ObjectAsset]) -> Scene:
         names=row.objects,
         objects=tuple(objects),
         poses=row.poses,
-        support=bank.support,
+        support=bank.support_of(row),
         stability=bank.stability,
         contact=bank.contact,
         origin=Origin(

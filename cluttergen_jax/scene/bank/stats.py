@@ -23,6 +23,8 @@ from cluttergen_jax.types import Verdict, small_length
 _NEAR_ENOUGH = 0.1
 _SHARES = {"side": "num_beside", "lean": "num_leaning"}
 """Of features that are told for each object of a scene: the column that counts them."""
+_MOST_HITS = 5
+"""Of doors and objects that are named."""
 _WORDS = {
     "stack": "objects on others",
     "contained": "objects in others",
@@ -44,6 +46,8 @@ class Totals:
       placed, attempts, simulated_steps: of all of them.
       num_rested: objects that took an attempt and were placed; own_attempts, rest_steps: sums over those.
       verdicts: attempts by verdict.
+      has_doors: whether scenes close doors; door_hits: how often one hit an object or did not close; hits:
+        scenes by the last time, in words.
     """
 
     scenes: int = 0
@@ -56,6 +60,9 @@ class Totals:
     own_attempts: int = 0
     rest_steps: int = 0
     verdicts: dict[Verdict, int] = field(default_factory=lambda: dict.fromkeys(COUNTED, 0))
+    has_doors: bool = False
+    door_hits: int = 0
+    hits: Counter[str] = field(default_factory=Counter)
 
     def add(self, rows: pa.Table) -> None:
         """Counts some more rows."""
@@ -76,6 +83,10 @@ class Totals:
         self.rest_steps += int(steps[placed].sum())
         for verdict in COUNTED:
             self.verdicts[verdict] += _sum(rows, count_column(verdict))
+        if "door_hit" in rows.schema.names:
+            self.has_doors = True
+            self.door_hits += _sum(rows, "num_door_hits")
+            self.hits.update(base_name(text) for text in rows["door_hit"].to_pylist() if text)
 
     def text(self, num_new: int = 0, seconds: float = 0.0) -> str:
         """Success, attempts, steps to rest and rejections by verdict.
@@ -98,6 +109,12 @@ class Totals:
             if number and verdict != Verdict.STABLE
         ]
         lines.append("rejected   " + ("\n           ".join(rejected) or "nothing"))
+        if self.has_doors:
+            named = "; ".join(
+                f"{text} ({number})" for text, number in self.hits.most_common(_MOST_HITS)
+            )
+            hits = f"blocked {self.door_hits} time{'s' * (self.door_hits != 1)}: {named}"
+            lines.append(f"doors      {hits if self.door_hits else 'all closed at once'}")
         if num_new and seconds > 0:
             lines.append(
                 f"speed      {num_new} scenes made in {seconds:.1f} s, compilation included"
@@ -296,6 +313,7 @@ class BankStats:
       certificate: of those scenes that have one; None if none has.
       clutter: features of the scenes that stand, as far as they are known.
       hand_median, hand_total: seconds that a person spent on a scene, and on all; None where none did.
+      door_hits: scenes by what a door hit last, such as `door_left hits mug`; None where none are closed.
     """
 
     asked: int
@@ -315,6 +333,7 @@ class BankStats:
     clutter: tuple[FeatureStats, ...] = ()
     hand_median: float | None = None
     hand_total: float | None = None
+    door_hits: dict[str, int] | None = None
 
     @property
     def success_rate(self) -> float:
@@ -413,6 +432,7 @@ class _Tally:
             clutter=self._clutter.features(),
             hand_median=None if seconds is None else float(np.median(seconds)),
             hand_total=None if seconds is None else float(seconds.sum()),
+            door_hits=dict(totals.hits.most_common()) if totals.has_doors else None,
         )
 
     def _look_for_gaps(self, index: np.ndarray) -> None:

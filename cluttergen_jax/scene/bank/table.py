@@ -10,6 +10,8 @@ import jax
 import numpy as np
 import pyarrow as pa
 
+from cluttergen_jax.assets.doors import Doors
+from cluttergen_jax.physics.doors import door_text
 from cluttergen_jax.placement.boxes import spacing_of
 from cluttergen_jax.placement.containers import num_contained
 from cluttergen_jax.placement.scenes import SceneBatch
@@ -67,6 +69,17 @@ entry per slot, -1 where nothing is placed."""
 BY_HAND = pa.schema([("seconds", pa.float32())])
 """What banks made by hand have besides: the seconds that a person spent on the scene, pauses left out."""
 
+DOORS = pa.schema(
+    [
+        ("joints", pa.list_(pa.float32())),
+        ("num_door_hits", pa.int32()),
+        ("door_hit", pa.string()),
+    ]
+)
+"""What banks have besides whose doors are closed: where all joints of the support are, radians or metres, in
+its order; how often a door hit an object or did not close; and the last time, such as `door_left hits mug`,
+"" if there was none."""
+
 CERTIFICATE = pa.schema(
     [
         ("residual_speed", pa.float32()),
@@ -105,6 +118,7 @@ class BankRow:
       is_success: every slot is filled and the finished scene stands.
       verdict: the last word on it, in the words of `types.Verdict`.
       drift: metres, the largest movement in the last check.
+      joints: where the support's joints are, see `DOORS`; None where no doors are closed.
     """
 
     index: int
@@ -113,6 +127,7 @@ class BankRow:
     is_success: bool
     verdict: str
     drift: float
+    joints: tuple[float, ...] | None = None
 
     def __repr__(self) -> str:
         return f"BankRow(scene {self.index}: {', '.join(self.objects)}; {self.verdict})"
@@ -130,11 +145,12 @@ def rows_of(table: pa.Table) -> Iterator[BankRow]:
             is_success=row["is_success"],
             verdict=row["verdict"],
             drift=row["drift"],
+            joints=tuple(row["joints"]) if row.get("joints") is not None else None,
         )
 
 
 COLUMNS = pa.unify_schemas([SCHEMA, CLUTTER, CERTIFICATE])
-"""What every file of rows has; banks made by hand have `BY_HAND` besides."""
+"""What every file of rows has; some banks have `BY_HAND` or `DOORS` besides."""
 
 
 def with_added(rows: pa.Table) -> pa.Table:
@@ -177,8 +193,8 @@ def with_columns_of(before: pa.Table, rows: pa.Table) -> pa.Table:
 
 def schema_of(rows: pa.Table) -> pa.Schema:
     """The columns that rows of a bank have, without unknown ones."""
-    by_hand = [BY_HAND] if set(BY_HAND.names) <= set(rows.schema.names) else []
-    return pa.unify_schemas([SCHEMA, CLUTTER, *by_hand, CERTIFICATE])
+    some = [each for each in (BY_HAND, DOORS) if set(each.names) <= set(rows.schema.names)]
+    return pa.unify_schemas([SCHEMA, CLUTTER, *some, CERTIFICATE])
 
 
 def is_certified(rows: pa.Table, seconds: float) -> bool:
@@ -194,6 +210,7 @@ def table_of(
     half_extents: np.ndarray,
     numbers: np.ndarray | None = None,
     hollows: Hollows | None = None,
+    doors: Doors | None = None,
 ) -> pa.Table:
     """The rows of a block of scenes with one leading axis.
 
@@ -201,6 +218,7 @@ def table_of(
       names: of the world's K objects; half_extents: f32[K, 3] of their boxes, metres.
       numbers: i32[K], of these objects among those that the bank's record names; as they come if None.
       hollows: of these objects, if they are known.
+      doors: that were closed, if any were.
     """
     numbers = np.arange(len(names)) if numbers is None else numbers
     half = half_extents[np.maximum(scenes.object_index, 0)]
@@ -213,9 +231,11 @@ def table_of(
         _row(int(index), scenes, place, names, numbers)
         | {"near": float(near[place]), "occlusion": float(hidden[place])}
         | {"num_in": None if inside is None else int(inside[place])}
+        | ({} if doors is None else _closing(doors, scenes, place, names))
         for place, index in enumerate(indices)
     ]
-    return pa.Table.from_pylist(rows, schema=pa.unify_schemas([SCHEMA, CLUTTER]))
+    more = [] if doors is None else [DOORS]
+    return pa.Table.from_pylist(rows, schema=pa.unify_schemas([SCHEMA, CLUTTER, *more]))
 
 
 _spacing, _num_contained = (jax.jit(jax.vmap(each)) for each in (spacing_of, num_contained))
@@ -245,6 +265,23 @@ def _row(
         **_stacking(scenes, place, slots),
         # What is not asked for, such as a margin, is not counted.
         **{count_column(v): int(counts[v]) if v < len(counts) else 0 for v in COUNTED},
+    }
+
+
+def _closing(
+    doors: Doors, scenes: SceneBatch, place: int, names: Sequence[str]
+) -> dict[str, object]:
+    record = scenes.doors
+    assert record is not None
+    values = [joint.value for joint in doors.open.joints]
+    is_closed = bool(scenes.is_success[place])
+    for number, travel in zip(doors.numbers, record.travel[place].tolist(), strict=True):
+        values[number] = doors.closed.joints[number].value if is_closed else values[number] + travel
+    hit = int(record.hit[place])
+    return {
+        "joints": values,
+        "num_door_hits": int(record.num_hits[place]),
+        "door_hit": door_text(doors.names, int(record.door[place]), hit, names),
     }
 
 

@@ -73,6 +73,7 @@ class BankWriter:
       bits: by what scenes that are missing will be computed (`numerics.bits_of_here`); None where that
         decides nothing.
       allow_other_bits: continue the bank even if its scenes were computed otherwise; its record tells both.
+      open_support: the support with its doors open, as objects were placed on it, where scenes close them.
 
     Raises:
       BankError: the folder holds something else, or a bank of another recipe, of other assets or, where
@@ -91,6 +92,7 @@ class BankWriter:
         shard_blocks: int = SHARD_BLOCKS,
         bits: Bits | None = None,
         allow_other_bits: bool = False,
+        open_support: SupportAsset | None = None,
     ) -> None:
         self.path = mirror_of(str(path)) if is_url(path) else Path(path)
         check_utf8(self.path)
@@ -99,10 +101,14 @@ class BankWriter:
         self._allows_other_bits = allow_other_bits
         self._find = objects if callable(objects) else None
         self._assets: dict[str, ObjectAsset] = {} if callable(objects) else dict(objects)
-        hashes = {
+        hashes: dict[str, Any] = {
             "objects": {name: object_hash(asset) for name, asset in self._assets.items()},
             "support": support_hash(support),
         }
+        supports = {"support": support}
+        if open_support is not None:
+            hashes["support_open"] = support_hash(open_support)
+            supports["support_open"] = open_support
         self._record: Record = json.loads(
             json.dumps({"format": FORMAT, "recipe": recipe, "assets": hashes})
         )
@@ -111,7 +117,7 @@ class BankWriter:
         try:
             with writing(self.path):
                 self._begin(num_scenes, overwrite)
-                self._store_assets(support)
+                self._store_assets(supports)
                 self._index.write()
                 publish_all(self.path, is_begun=True)
         except BaseException:
@@ -301,16 +307,19 @@ class BankWriter:
                 ) from error
             return {}
 
-    def _store_assets(self, support: SupportAsset) -> None:
+    def _store_assets(self, supports: Mapping[str, SupportAsset]) -> None:
         """Writes what is missing, damaged, or of no known digest; the index then tells what is there."""
-        hashes = self._record["assets"]
+        hashes: Mapping[str, Any] = self._record["assets"]
         for name in hashes["objects"]:
             self._store_object(name)
-        folder = "assets/support"
-        known = hashes["support"]
-        if not self._is_as_written(folder, known, lambda path: support_hash(read_support(path))):
-            with folder_whole(inside(self.path, folder), is_only_writer=True) as fresh:
-                write_support(fresh, support)
+        for name, support in supports.items():
+            folder = f"assets/{name}"
+            known = hashes[name]
+            if not self._is_as_written(
+                folder, known, lambda path: support_hash(read_support(path))
+            ):
+                with folder_whole(inside(self.path, folder), is_only_writer=True) as fresh:
+                    write_support(fresh, support)
         # Digests of rows, and of scenes' files that an earlier run wrote and that are still there.
         kept = {
             name: digest
