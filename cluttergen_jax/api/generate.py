@@ -92,12 +92,14 @@ def generate(
     """
     from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.generation.generate import write_bank
-    from cluttergen_jax.generation.layouts import read_layout
+    from cluttergen_jax.generation.layouts import asked_of, read_layout
 
+    asked_in_words = None
     if layout is not None:
         if spec is not None:
             raise ConfigError(f"`layout` {str(layout)!r} beside `spec`", "one or the other")
-        spec = read_layout(layout)
+        spec = read_layout(layout, options.get("pool"))
+        asked_in_words = asked_of(layout)
     asked = spec_of(generate, spec, options)
     check_range("num_scenes", num_scenes, 1, MAX_SCENES, 20)
     check_range("seed", seed, 0, _MOST, 0)
@@ -113,6 +115,7 @@ def generate(
         overwrite,
         cluster_of(cluster, workers),
         allow_other_bits,
+        asked_in_words,
     )
 
 

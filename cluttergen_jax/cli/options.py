@@ -82,7 +82,8 @@ class Options:
 class Command:
     """A command, whose options are the arguments of functions, with their defaults.
 
-    What only one of several functions takes, and cannot do without, may be left out on the command line.
+    What only one of several functions takes, and cannot do without, may be left out on the command line,
+    unless `kinds` has a type for it of which None is none.
 
     Attributes:
       run: what it does with its options; the exit status, None for 0. Its docstring is the command's help.
@@ -113,7 +114,7 @@ class Command:
                     kind = self.kinds.get(name) or _as_given(_annotation(parameter, function))
                     is_needed = all(
                         name in inspect.signature(each).parameters for each in functions
-                    )
+                    ) or (name in self.kinds and not _may_be_none(kind))
                     fields[name] = (name, kind, _default(parameter.default, kind, is_needed))
         for name in self.kinds.keys() - fields.keys():
             fields[name] = (name, self.kinds[name], dataclasses.field(default=False))
@@ -230,6 +231,12 @@ def _as_given(kind: Any) -> Any:
     return (
         types.GenericAlias(tuple, (*get_args(kind), ...)) if get_origin(kind) is Sequence else kind
     )
+
+
+def _may_be_none(kind: Any) -> bool:
+    """Whether an option of a type may be left out."""
+    kind = get_args(kind)[0] if get_origin(kind) is Annotated else kind
+    return types.NoneType in get_args(kind)
 
 
 def _metavar(kind: Any) -> str | None:

@@ -15,35 +15,22 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from cluttergen_jax.assets.pool import embedded_root, find_pool
+from cluttergen_jax.assets.pool import embedded_root
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.files import is_regular_file
+from cluttergen_jax.generation.layout_check import (
+    Layout,
+    LayoutError,
+    meaning_faults,
+    parse_content,
+    read_fields,
+    spec_of_layout,
+)
 from cluttergen_jax.geometry import product, rotation_matrix, turn_between
-from cluttergen_jax.placement.relations import conditions_of, parse_relations
-from cluttergen_jax.schema import SchemaError, convert, parse_yaml, read_json, read_written
+from cluttergen_jax.schema import Record, SchemaError, read_json, read_written
 from cluttergen_jax.spec import SceneSpec
 
 _HINT = "a file such as those of `cluttergen list`"
-
-
-class _File(msgspec.Struct, forbid_unknown_fields=True):
-    """A layout as its file has it.
-
-    Attributes:
-      title: what people call it.
-      objects: names and the condition of the objects that each may stand for (`SceneSpec.roles`).
-      relations: what must hold of them (`SceneSpec.relations`).
-      pool, support, region: see `SceneSpec`.
-      others: objects of the pool that stand anywhere besides.
-    """
-
-    objects: dict[str, str]
-    title: str = ""
-    relations: list[str] = []
-    pool: str = str(SceneSpec.pool)
-    support: str = str(SceneSpec.support)
-    region: str | None = None
-    others: int = 0
 
 
 def list_layouts() -> dict[str, Path]:
@@ -51,54 +38,50 @@ def list_layouts() -> dict[str, Path]:
     return {path.stem: path for path in sorted((embedded_root() / "layouts").glob("*.yaml"))}
 
 
-def read_layout(layout: str | Path) -> SceneSpec:
+def read_layout(layout: str | Path, pool: str | Path | None = None) -> SceneSpec:
     """The request that a layout is: a file, or the name of one that comes with the package.
 
         cluttergen_jax.generate("out", cluttergen_jax.read_layout("breakfast_for_two"))
 
     A file has `objects`, names of your own and which objects of the pool each may stand for; `relations`
-    between them and other objects of the pool; and, if wanted, `title`, `pool`, `support`, `region` and
-    `others`, the number of further objects of the pool. Where the pool has too few objects for the names,
-    they come more than once.
+    between them and other objects of the pool; and, if wanted, `title`, `pool`, `support`, `region`, `others`,
+    the number of further objects of the pool, `poses`, `clutter` and `natural`. Where the pool has too few
+    objects for the names, they come more than once. `layout_schema` describes each field.
+
+    Args:
+      pool: in place of the one that it names.
 
     Raises:
-      ConfigError: there is no such layout, it is no YAML, or something in it is not understood.
+      ConfigError: there is no such layout, it is no YAML, or something in it is not understood; a
+        `LayoutError` has all that is wrong.
     """
-    given = _read(layout)
-    relations = parse_relations(tuple(given.relations))
-    conditions = conditions_of(tuple(given.objects.items()), relations)
-    _check_names([name for name in conditions if name not in given.objects], given, layout)
-    if given.others < 0:
-        raise ConfigError(f"others = {given.others} in layout {str(layout)!r}", "0 or more")
-    # Only what may be placed is compiled into the world.
-    objects = () if given.others else tuple(dict.fromkeys(conditions.values()))
-    return SceneSpec(
-        pool=given.pool,
-        objects=objects,
-        num_objects=len(conditions) + given.others,
-        repeat=True,
-        support=given.support,
-        region=given.region,
-        relations=tuple(given.relations),
-        roles=given.objects,
-    )
+    return spec_of_layout(read_fields_of(layout, pool))
 
 
-def _check_names(names: Sequence[str], given: _File, layout: str | Path) -> None:
-    """Refuses names in relations that are neither the layout's own nor objects of its pool (ConfigError)."""
-    if not names:
-        return
-    pool = find_pool(given.pool).names
-    for name in names:
-        if name not in ("any", *pool):
-            raise ConfigError(
-                f"{name!r} in a relation of layout {str(layout)!r}",
-                f"{', '.join(given.objects)}, or an object of pool {given.pool!r}: {', '.join(pool)}",
-                meant=closest(name, [*given.objects, *pool]),
-            )
+def asked_of(layout: str | Path) -> Record | None:
+    """The sentence, the model and the number of its answers, of a layout that a model has written."""
+    asked = read_fields_of(layout).asked
+    return None if asked is None else msgspec.to_builtins(asked)
 
 
-def _read(layout: str | Path) -> _File:
+def read_fields_of(layout: str | Path, pool: str | Path | None = None) -> Layout:
+    """The fields of a layout; see `read_layout`."""
+    path = layout_path(layout)
+    try:
+        content = parse_content(read_written(path))
+    except (SchemaError, OSError) as error:
+        raise ConfigError(f"layout {path}: {error}", "YAML", _HINT) from error
+    found, faults = read_fields(content)
+    if pool is not None:
+        found.pool = str(pool)
+    faults += meaning_faults(found)
+    if faults:
+        raise LayoutError(str(layout), faults)
+    return found
+
+
+def layout_path(layout: str | Path) -> Path:
+    """The file of a layout (ConfigError: there is none)."""
     known = list_layouts()
     path = known.get(str(layout), Path(layout))
     if not is_regular_file(path):
@@ -106,15 +89,7 @@ def _read(layout: str | Path) -> _File:
         raise ConfigError(
             f"layout {str(layout)!r}", f"a YAML file, or {', '.join(known)}", _HINT, meant
         )
-    try:
-        content = parse_yaml(read_written(path))
-    except (SchemaError, OSError) as error:
-        raise ConfigError(f"layout {path}: {error}", "YAML", _HINT) from error
-    try:
-        return convert(content, _File)
-    except SchemaError as error:
-        fields = ", ".join(_File.__struct_fields__)
-        raise ConfigError(f"layout {path}: {error}", f"a mapping with {fields}", _HINT) from error
+    return path
 
 
 FORM = '{"pool": "dining", "support": "table", "objects": [{"name": "mug", "position": [0.1, 0, 0.75]}]}'
