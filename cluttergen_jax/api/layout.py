@@ -99,9 +99,9 @@ def ask_layout(
     """
     from dataclasses import replace
 
+    from cluttergen_jax.files import write_atomically
     from cluttergen_jax.generation.layout_ask import MOST_TRIES, ask_for_layout, model_of
     from cluttergen_jax.kept_folder import hold_file
-    from cluttergen_jax.files import write_atomically
     from cluttergen_jax.spec import spec_of
 
     spec_of(ask_layout, None, options)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import inspect
 import json
 from pathlib import Path, PurePosixPath
+from typing import Annotated
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from cluttergen_jax.api.generate import generate
 from cluttergen_jax.api.layout import ENDINGS, ask_layout, check_layout
@@ -38,7 +39,7 @@ def find_errors(options: Options) -> int:
     Example: `cluttergen layout check breakfast.yaml`
     """
     found = options.call(check_layout, only_changed=True, layout=options.layout)
-    print(with_flags(str(found), options))
+    print(found)
     return 0 if found.is_sound else 1
 
 
@@ -46,6 +47,7 @@ def find_errors(options: Options) -> int:
     ask_layout,
     generate,
     request=Positional[str],
+    num_scenes=Annotated[int, arg(aliases=["-n"])],
     model=str,
     out=str | None,
     region=str | None,

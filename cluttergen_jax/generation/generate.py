@@ -86,12 +86,12 @@ def write_bank(
     overwrite: bool = False,
     cluster: Cluster | None = None,
     allow_other_bits: bool = False,
-    asked: Record | None = None,
+    asked_in_words: Record | None = None,
 ) -> GeneratedBank:
     """The bank of a request and a seed in a folder, begun or continued; see `cluttergen_jax.generate`.
 
     Args:
-      asked: the sentence and the model that its layout is from (`layouts.asked_of`).
+      asked_in_words: the sentence and the model that its layout is from (`layouts.asked_of`).
     """
     # Where blocks draw their objects from `shelves`, the setup is the first block's.
     method, setup, shelves = set_up_bank(spec, seed)
@@ -107,8 +107,8 @@ def write_bank(
         spec.checkpoint,
         None if shelves is None else shelves.pool.names,
     )
-    if asked is not None:
-        recipe["asked"] = asked
+    if asked_in_words is not None:
+        recipe["asked"] = asked_in_words
 
     def make_tables(blocks: Sequence[Block]) -> Iterator[tuple[int, pa.Table]]:
         if cluster is not None:

@@ -155,7 +155,8 @@ def ask_for_layout(
         prompt = _prompt_again(first, text, check.faults)
     last = "\n".join(f"  {fault}" for fault in answers[-1].faults)
     kept = f"; all answers are in {log}" if log is not None else ""
-    raise _Unsound(f"no layout without errors in {max_tries} answers of {name}{kept}", last)
+    tries = "1 answer" if max_tries == 1 else f"{max_tries} answers"
+    raise _Unsound(f"no layout without errors in {tries} of {name}{kept}", last)
 
 
 class _Unsound(ModelError):
@@ -181,7 +182,7 @@ def prompt_of(request: str, facts: Sequence[ObjectFacts], pool: str, support: st
     schema.pop("$defs", None)
     return "\n".join(
         [
-            "Write a layout: which objects stand where on a table, so that a simulator can make scenes of it.",
+            "Write a layout: which objects stand where on a table. A simulator makes scenes of it.",
             "",
             f"The request: {request}",
             "",
@@ -192,8 +193,8 @@ def prompt_of(request: str, facts: Sequence[ObjectFacts], pool: str, support: st
             "",
             *_supports_text(support),
             "",
-            "Use only these objects, the most fitting ones. Name relations that make the scene plausible, but "
-            "only those that matter: each must hold exactly, and what stands on the table needs room.",
+            "Use only these objects, the most fitting ones. Name the relations that make the scene "
+            "plausible, and no more: each must hold exactly, and what stands on the table needs room.",
         ]
     )
 
@@ -216,8 +217,12 @@ def _objects_text(facts: Sequence[ObjectFacts], pool: str) -> Iterator[str]:
 
 def _supports_text(support: str | None) -> Iterator[str]:
     names = list(list_supports()) if support is None else [str(support)]
-    yield "The support that is used, its width x depth in m:" if support else (
-        "Supports, for `support`, width x depth in m (table-1.20x0.70 is a table of any such size):"
+    yield (
+        "The support that is used, its width x depth in m:"
+        if support
+        else (
+            "Supports, for `support`, width x depth in m (table-1.20x0.70 is a table of any such size):"
+        )
     )
     for name in names:
         try:
@@ -331,7 +336,9 @@ def _in_time(seconds: float, model: Model, prompt: str) -> str:
             raise _late(seconds)
         return False
 
-    answer = model(prompt) if isinstance(model, _Command) else run_abandonable(is_late, model, prompt)
+    answer = (
+        model(prompt) if isinstance(model, _Command) else run_abandonable(is_late, model, prompt)
+    )
     if not isinstance(answer, str):
         raise ModelError(f"the model answered {type(answer).__name__}", "text")
     if len(answer) > _MOST_ANSWER:
@@ -395,7 +402,8 @@ class _Command:
                     raise _late(self.timeout) from None
                 if any(os.fstat(each.fileno()).st_size > _MOST_ANSWER for each in files):
                     raise ModelError(
-                        f"{self.words[0]} printed more than {_MOST_ANSWER:,} bytes", "an answer"
+                        f"{self.words[0]} printed more than {_MOST_ANSWER:,} bytes",
+                        "a layout alone",
                     ) from None
 
 

@@ -1,25 +1,26 @@
-"""Layouts as people and language models write them: their fields, the JSON schema of these, all that is wrong.
+"""Layouts as people and language models write them: their fields, the JSON schema of these, what is wrong.
 
 A layout is YAML (JSON is YAML, too); `layouts.read_layout` makes a request of one without faults.
 """
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from graphlib import CycleError, TopologicalSorter
 from itertools import combinations
 from typing import Annotated, Any, NamedTuple, get_args, get_origin
 
 import msgspec
+import numpy as np
 from msgspec import Meta
 
-from cluttergen_jax.assets import find_support
+from cluttergen_jax.assets import ObjectAsset, find_support
 from cluttergen_jax.assets.facts import ObjectFacts, parse_condition
 from cluttergen_jax.config import Poses
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest, first_names
+from cluttergen_jax.learning.methods import DEFAULT_METHOD
 from cluttergen_jax.placement.clutter import NAMES, Clutter
 from cluttergen_jax.placement.config import MAX_SLOTS
 from cluttergen_jax.placement.problem import check_objects
@@ -50,6 +51,10 @@ _RELATION = (
     rf"(?:{_CLOSE})\s+{_OTHER}|(?:{_DISTANT})\s+{_OTHER}\s*(?::\s*{_GAP})?)\s*$"
 )
 """A relation as a pattern of a JSON schema; `Relation.parse` says what is wrong with one."""
+
+
+_UNREAD = "\0"
+"""Stands for a relation that is no text, so that others keep their places."""
 
 
 class Asked(msgspec.Struct, forbid_unknown_fields=True):
@@ -89,11 +94,11 @@ class Layout(msgspec.Struct, forbid_unknown_fields=True):
     relations: Annotated[
         list[Annotated[str, Meta(extra_json_schema={"pattern": _RELATION})]],
         _about(
-            "What must hold in every scene, each as 'SUBJECT KIND REFERENCE' or 'SUBJECT KIND REFERENCE:GAP', "
+            "What must hold in every scene, each 'SUBJECT KIND REFERENCE' or 'SUBJECT KIND REFERENCE:GAP', "
             "of names in `objects`. Kinds without a gap: on, under, in (inside of a hollow object), aligned "
-            "(longest sides parallel; 'NAME aligned table' to the table's sides). Kinds with a gap in metres, "
-            f"above 0 and up to {MOST_GAP:g}, seen from above: next_to, left_of, right_of, in_front_of, behind "
-            "(the gap is at most so much), far_from (at least). Left, right, front and back are seen by a "
+            "(longest sides parallel; 'NAME aligned table' to the table's sides). Kinds with a gap in m, "
+            f"above 0 and up to {MOST_GAP:g}, seen from above: next_to, left_of, right_of, in_front_of, "
+            "behind (the gap is at most so much), far_from (at least). Left, right, front and back are seen by a "
             "person who sits at the front of the table; each holds within 45 degrees, so that an object is "
             "on one side of another only. Say each relation once; no circles.",
             max_length=MOST_RELATIONS,
@@ -118,13 +123,17 @@ class Layout(msgspec.Struct, forbid_unknown_fields=True):
     region: Annotated[
         str | None,
         _about(
-            "The part of the support that is used, WIDTHxDEPTH in metres about its centre; all of it if null.",
+            "The part of the support that is used, WIDTHxDEPTH in metres about its centre; all if null.",
             examples=["0.40x0.50"],
         ),
     ] = None
     others: Annotated[
         int,
-        _about("How many further objects of the pool stand anywhere besides.", ge=0),
+        _about(
+            "How many further objects stand anywhere besides: any of the pool, fitting or not; better name "
+            "what belongs there in `objects`.",
+            ge=0,
+        ),
     ] = 0
     poses: Annotated[
         Poses,
@@ -256,9 +265,7 @@ class LayoutCheck(NamedTuple):
             head = "1 error" if number == 1 else f"{number} errors"
             return "\n".join([head, *map(str, self.faults), *notes])
         relations = len(self.spec.relations)
-        return "\n".join(
-            [f"sound: {self.spec.num_objects} objects, {relations} relations", *notes]
-        )
+        return "\n".join([f"sound: {self.spec.num_objects} objects, {relations} relations", *notes])
 
 
 def check_text(data: bytes, options: Mapping[str, Any]) -> LayoutCheck:
@@ -289,13 +296,19 @@ def check_text(data: bytes, options: Mapping[str, Any]) -> LayoutCheck:
     except ClutterGenError as error:
         faults.append(LayoutFault.of("support", error))
     if faults:
-        return LayoutCheck(tuple(faults))
+        return LayoutCheck(tuple(sorted(faults, key=_place_of)))
     try:
         spec = replace(spec_of_layout(layout), **options)
-        notes = _room_notes(spec, facts)
+        notes = _room_notes(spec, layout)
     except ClutterGenError as error:
         return LayoutCheck((LayoutFault.of(_field_of(error, layout), error),))
     return LayoutCheck((), tuple(notes), spec)
+
+
+def _place_of(fault: LayoutFault) -> int:
+    """Where a fault stands among those of other fields."""
+    field = re.split(r"[.\[]", fault.path)[0]
+    return FIELDS.index(field) if field in FIELDS else len(FIELDS)
 
 
 def parse_content(data: bytes) -> Any:
@@ -352,6 +365,8 @@ def _read_field(name: str, value: Any, kind: Any) -> tuple[Any, list[LayoutFault
             sound.append(msgspec.convert(part, kind))
         except (msgspec.ValidationError, RecursionError) as error:
             faults.append(_fault_of_type(path, part, str(error)))
+            if inner is list:
+                sound.append([_UNREAD])
     if inner is dict:
         return {k: v for part in sound for k, v in part.items()}, faults
     if inner is list:
@@ -378,11 +393,15 @@ def _fault_of_type(path: str, part: Any, said: str) -> LayoutFault:
     elif isinstance(part, list) and len(part) == 1:
         part = part[0]
     allowed = re.sub(r" - at .*$|, got `.*?`|Expected |`", "", said)
-    allowed = {"str": "text", "object": "a mapping", "array": "a list"}.get(allowed, allowed)
+    allowed = re.sub(r"^\w+", lambda found: _KINDS.get(found[0], found[0]), allowed)
     hint = ""
     if allowed == "text" and not isinstance(part, str):
         hint = "quotes around it" if not isinstance(part, dict | list) else "one text"
     return LayoutFault(path, _short(part), allowed, hint)
+
+
+_KINDS = {"str": "text", "object": "a mapping", "array": "a list", "bool": "true or false"}
+_KINDS |= {"int": "a whole number", "float": "a number"}
 
 
 def plain_name(text: str) -> str:
@@ -431,14 +450,13 @@ def meaning_faults(
     relations: list[Relation] = []
     for place, text in enumerate(layout.relations):
         path = f"relations[{place}]"
+        if text == _UNREAD:
+            continue
         try:
             relation = Relation.parse(text)
         except ConfigError as error:
             fault = LayoutFault.of(path, error)
-            words = str(text).split()
-            if len(words) > 2 and (kind := _KIND_MEANT.get(words[1].lower().strip("_"))):
-                fault = replace(fault, meant=kind)
-            yield fault
+            yield replace(fault, meant=_relation_meant(text) or fault.meant)
             continue
         relations.append(relation)
         for name in dict.fromkeys((relation.subject, relation.reference)):
@@ -460,6 +478,19 @@ def meaning_faults(
     except ConfigError as error:
         hint = "leaving one of them out; 'a left_of b' says 'b right_of a' as well"
         yield LayoutFault("relations", error.given, error.allowed, hint)
+
+
+def _relation_meant(text: str) -> str:
+    """The relation that was probably meant, as "cup next_to plate" of "cup next to plate"; "" if none."""
+    body, colon, gap = text.partition(":")
+    subject, *middle, reference = [*body.split(), "", ""][: max(len(body.split()), 2)]
+    words = "_".join(middle).lower().replace("is_", "")
+    kind = words if words in KINDS else _KIND_MEANT.get(words, "")
+    meant = f"{subject} {kind} {reference}{colon}{gap.strip()}"
+    try:
+        return str(Relation.parse(meant)) if kind and meant != text else ""
+    except ConfigError:
+        return f"{subject} {kind} {reference}"
 
 
 def _pool_faults(layout: Layout, facts: Sequence[ObjectFacts], pool: str) -> Iterator[LayoutFault]:
@@ -569,7 +600,8 @@ def _number_faults(layout: Layout) -> Iterator[LayoutFault]:
             try:
                 Clutter.of({name: value})
             except ConfigError as error:
-                yield LayoutFault.of(f"clutter.{name}", error)
+                fault = LayoutFault.of(f"clutter.{name}", error)
+                yield replace(fault, hint="clutter: {stack: 2, near: 0.02}")
 
 
 def _field_of(error: ClutterGenError, layout: Layout) -> str:
@@ -577,14 +609,8 @@ def _field_of(error: ClutterGenError, layout: Layout) -> str:
     for name, condition in layout.objects.items():
         if re.search(rf"role {name!r}|{re.escape(condition)!r}", error.given):
             return f"objects.{name}"
-    words = {
-        "clutter": "clutter",
-        "relations": "relations",
-        "region": "region",
-        "support": "support",
-        "objects": "objects",
-    }
-    return next((field for word, field in words.items() if word in error.given), "")
+    fields = ("clutter", "relations", "objects", "region", "support")
+    return next((field for field in fields if field in error.given), "")
 
 
 def spec_of_layout(layout: Layout) -> SceneSpec:
@@ -609,24 +635,54 @@ def spec_of_layout(layout: Layout) -> SceneSpec:
 
 
 _FULL = 1.0
-"""Of the region's area, covered by the smallest objects that a layout names: from there scenes fail."""
+_TOO_FULL = 2.5
+"""Footprints over the region's area. Of the smallest objects, from where scenes begin to fail; and of those
+that a layout names, but for what is on or in another, from where it is refused: `guided`, which lets objects
+stand on others, fills 8 of 8 tables with ten of kitchen at 1.5, 4 of 8 at 3.0, 2 of 8 at 4.6."""
 
 
-def _room_notes(spec: SceneSpec, facts: Sequence[ObjectFacts]) -> Iterator[str]:
+def _room_notes(spec: SceneSpec, layout: Layout) -> list[str]:
     """What is odd about the room that a request has.
 
     Raises:
       ClutterGenError: objects cannot have room, or what they are asked for is not to be had.
     """
     pool = spec.find_pool()
-    config = spec.problem_config(spec.method, pool)
+    method = spec.method if isinstance(spec.method, str) else DEFAULT_METHOD
+    spec.check_method(method)
+    config = spec.problem_config(method, pool)
     if config.shelf:
         return []
     chosen, support, region = check_objects(config, pool)
     relate_objects(chosen, config.placement, config.repeat)
     if config.placement.clutter is not None:
         config.placement.clutter.check(config.placement.num_objects)
-    crowded = crowding(chosen, config.placement.num_objects, region, area_asked(config, support))
-    if crowded <= _FULL:
+    area = area_asked(config, support)
+    carried = {
+        each.subject for each in map(Relation.parse, layout.relations) if each.kind in ("on", "in")
+    }
+    standing = [
+        _smallest(condition, chosen)
+        for name, condition in layout.objects.items()
+        if name not in carried
+    ]
+    covered = crowding(standing, len(standing), region, area) if standing else 0.0
+    if covered > _TOO_FULL:
+        x, y = 2 * np.array(region.half_extents)
+        raise ConfigError(
+            f"{len(standing)} objects that are on or in no other cover {covered:.1f} times the area of "
+            f"the region of {x:.2f} x {y:.2f} m",
+            f"up to {_TOO_FULL:g} times",
+            "fewer objects, some on or in others, or a larger support",
+        )
+    crowded = crowding(chosen, config.placement.num_objects, region, area)
+    if max(crowded, covered) <= _FULL:
         return []
-    return [f"it is tight: the smallest objects alone cover {crowded:.1f} times the region's area"]
+    return [f"it is tight: the objects cover {max(crowded, covered):.1f} times the region's area"]
+
+
+def _smallest(condition: str, objects: Sequence[ObjectAsset]) -> ObjectAsset:
+    """The smallest object in plan that a condition means."""
+    test = parse_condition(condition)
+    meant = [each for each in objects if test(ObjectFacts.of(each))]
+    return min(meant, key=lambda each: float(np.prod(each.half_extents[:2])))

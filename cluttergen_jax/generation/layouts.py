@@ -7,7 +7,7 @@ read or refused by its name.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,8 +44,8 @@ def read_layout(layout: str | Path, pool: str | Path | None = None) -> SceneSpec
         cluttergen_jax.generate("out", cluttergen_jax.read_layout("breakfast_for_two"))
 
     A file has `objects`, names of your own and which objects of the pool each may stand for; `relations`
-    between them and other objects of the pool; and, if wanted, `title`, `pool`, `support`, `region`, `others`,
-    the number of further objects of the pool, `poses`, `clutter` and `natural`. Where the pool has too few
+    between them and other objects of the pool; and, if wanted, `title`, `pool`, `support`, `region`, `poses`,
+    `clutter`, `natural` and `others`, the number of further objects of the pool. Where the pool has too few
     objects for the names, they come more than once. `layout_schema` describes each field.
 
     Args:
