@@ -97,10 +97,10 @@ class Layout(msgspec.Struct, forbid_unknown_fields=True):
             "What must hold in every scene, each 'SUBJECT KIND REFERENCE' or 'SUBJECT KIND REFERENCE:GAP', "
             "of names in `objects`. Kinds without a gap: on, under, in (inside of a hollow object), aligned "
             "(longest sides parallel; 'NAME aligned table' to the table's sides). Kinds with a gap in m, "
-            f"above 0 and up to {MOST_GAP:g}, seen from above: next_to, left_of, right_of, in_front_of, "
-            "behind (the gap is at most so much), far_from (at least). Left, right, front and back are seen by a "
-            "person who sits at the front of the table; each holds within 45 degrees, so that an object is "
-            "on one side of another only. Say each relation once; no circles.",
+            f"above 0 and up to {MOST_GAP:g}, in plan: next_to, left_of, right_of, in_front_of, "
+            "behind (the gap is at most so much), far_from (at least). Left, right, front and back are "
+            "seen by a person who sits at the front of the table; each holds within 45 degrees, so that an "
+            "object is on one side of another only. Say each relation once; no circles.",
             max_length=MOST_RELATIONS,
             examples=[["mug next_to plate:0.05", "fork left_of plate", "apple in bowl"]],
         ),
@@ -296,7 +296,7 @@ def check_text(data: bytes, options: Mapping[str, Any]) -> LayoutCheck:
     except ClutterGenError as error:
         faults.append(LayoutFault.of("support", error))
     if faults:
-        return LayoutCheck(tuple(sorted(faults, key=_place_of)))
+        return LayoutCheck(tuple(sorted(faults, key=place_of)))
     try:
         spec = replace(spec_of_layout(layout), **options)
         notes = _room_notes(spec, layout)
@@ -305,7 +305,7 @@ def check_text(data: bytes, options: Mapping[str, Any]) -> LayoutCheck:
     return LayoutCheck((), tuple(notes), spec)
 
 
-def _place_of(fault: LayoutFault) -> int:
+def place_of(fault: LayoutFault) -> int:
     """Where a fault stands among those of other fields."""
     field = re.split(r"[.\[]", fault.path)[0]
     return FIELDS.index(field) if field in FIELDS else len(FIELDS)

@@ -7,6 +7,7 @@ read or refused by its name.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.pool import embedded_root
 from cluttergen_jax.errors import ConfigError, closest
@@ -23,6 +25,7 @@ from cluttergen_jax.generation.layout_check import (
     LayoutError,
     meaning_faults,
     parse_content,
+    place_of,
     read_fields,
     spec_of_layout,
 )
@@ -76,7 +79,7 @@ def read_fields_of(layout: str | Path, pool: str | Path | None = None) -> Layout
         found.pool = str(pool)
     faults += meaning_faults(found)
     if faults:
-        raise LayoutError(str(layout), faults)
+        raise LayoutError(str(layout), sorted(faults, key=place_of))
     return found
 
 
@@ -158,7 +161,9 @@ def read_layout_json(path: Path) -> LayoutFile:
     A position is `position` in the file's or the object's `unit` (m, cm, mm), or `position_m`, `position_cm`,
     `position_mm`. An orientation is one of `quaternion_wxyz`, `quaternion_xyzw`, `rpy` or `euler_rad`,
     `rpy_deg` or `euler_deg` (turns about the fixed axes x, y, z in this order), `yaw` or `yaw_rad`, `yaw_deg`
-    (about z); none is upright.
+    (about z), or `euler` with `euler_unit` (deg, rad) and `euler_order`: small letters are turns about fixed
+    axes, one after another, as xyz and zyx; capital ones are about axes that turn along, as ZYX. None is
+    upright.
 
     Raises:
       ConfigError: it is no layout, has a key that is not known, or says two things of one object.
@@ -255,7 +260,9 @@ def _entry(entry: Any, where: str, unit: str, notes: list[str]) -> LayoutEntry:
     if not isinstance(entry, dict):
         allowed = '{"name": ..., "position": [...]}'
         raise ConfigError(f"{where} = {_short(entry)}, so it is no layout", allowed)
-    _check_keys(entry, (*_PLAIN, *_PLACES, *_TURNS, *_REMARKS, *_RESULTS), where)
+    # Angles without their unit could be either.
+    stated = (_EULER, *_OF_EULER) if "euler_unit" in entry else _OF_EULER
+    _check_keys(entry, (*_PLAIN, *_PLACES, *_TURNS, *stated, *_REMARKS, *_RESULTS), where)
     name = entry.get("name")
     asset = entry.get("asset", "")
     if not isinstance(name, str) or not name or not isinstance(asset, str):
@@ -289,7 +296,8 @@ def _position(entry: Mapping[str, Any], where: str, unit: str) -> np.ndarray:
 
 def _quaternion(entry: Mapping[str, Any], where: str, notes: list[str]) -> np.ndarray:
     """f64[4], wxyz, of unit length."""
-    found = {key: _TURNS[key](entry[key], f"{where}: {key}") for key in _TURNS if key in entry}
+    readers = _TURNS | _readers_of_euler(entry, where)
+    found = {key: readers[key](entry[key], f"{where}: {key}") for key in readers if key in entry}
     for key, value in found.items():
         length = float(np.linalg.norm(value))
         if length < 1e-3:
@@ -313,6 +321,46 @@ def _quaternion(entry: Mapping[str, Any], where: str, notes: list[str]) -> np.nd
                     f"{where}: by {key} it is tilted or lies; in the order of {other} it is upright"
                 )
     return first
+
+
+def _readers_of_euler(
+    entry: Mapping[str, Any], where: str
+) -> dict[str, Callable[[Any, str], np.ndarray]]:
+    """What reads the angles of an object whose unit or order has a key of its own."""
+    if not any(key in entry for key in _OF_EULER):
+        return {}
+    angles = [key for key in (_EULER, "euler_deg", "euler_rad") if key in entry]
+    if not angles:
+        stated = " and ".join(key for key in _OF_EULER if key in entry)
+        raise ConfigError(f"{where}: {stated} without angles", "euler with three angles")
+    order = entry.get("euler_order", "")
+    if not isinstance(order, str) or (order and not _ORDER.fullmatch(order)):
+        raise ConfigError(
+            f"{where}: euler_order = {_short(order)}",
+            "three axes, xyz for turns about fixed axes, XYZ for turns about axes that turn along",
+        )
+    unit = entry.get("euler_unit", "deg")
+    if unit not in _ANGLE_UNITS:
+        raise ConfigError(f"{where}: euler_unit = {_short(unit)}", ", ".join(_ANGLE_UNITS))
+    if not order and sum(each != 0 for each in _numbers(entry[angles[0]], 3, where)) > 1:
+        raise ConfigError(
+            f"{where}: {angles[0]} of several turns without its order",
+            "euler_order, such as xyz (fixed axes) or ZYX (axes that turn along)",
+        )
+    factors = {_EULER: _ANGLE_UNITS[unit], "euler_deg": _DEGREE, "euler_rad": 1.0}
+    return {key: _turns_in_order(order or "xyz", factors[key]) for key in angles}
+
+
+def _turns_in_order(order: str, factor: float) -> Callable[[Any, str], np.ndarray]:
+    def read(value: Any, where: str) -> np.ndarray:
+        angles = factor * _numbers(value, 3, where)
+        if factor == 1.0 and np.abs(angles).max() > _FULL_TURN:
+            raise ConfigError(
+                f"{where} = {value!r}, which is more than a full turn", "radians", "degrees"
+            )
+        return Rotation.from_euler(order, angles).as_quat(scalar_first=True)
+
+    return read
 
 
 def _short(value: Any) -> str:
@@ -377,6 +425,10 @@ def _about(axis: int, angle: float) -> np.ndarray:
 
 
 _DEGREE = math.pi / 180
+_EULER = "euler"
+_OF_EULER = ("euler_unit", "euler_order")
+_ORDER = re.compile(r"(?!.?([xyzXYZ])\1)(?:[xyz]{3}|[XYZ]{3})")
+_ANGLE_UNITS = {"deg": _DEGREE, "degrees": _DEGREE, "rad": 1.0, "radians": 1.0}
 _OF_FILE = ("pool", "support", "objects", "unit", "units", "is_stable")
 _PLAIN = ("name", "asset", "unit", "units")
 _PLACES = ("position", "position_m", "position_cm", "position_mm")
