@@ -243,6 +243,7 @@ def _prompt_again(first: str, answer: str, faults: Sequence[LayoutFault]) -> str
 # Answers
 
 _FENCED = re.compile(r"^[ \t]*(```+|~~~+)[^\n]*\n(.*?)^[ \t]*\1[ \t]*$", re.MULTILINE | re.DOTALL)
+_BEGIN = re.compile(r"^(\{|[a-z_]+[ \t]*:)", re.MULTILINE)
 _THOUGHT = re.compile(r"<(think|thinking|reasoning)>.*?</\1>", re.DOTALL)
 
 
@@ -250,15 +251,15 @@ def layout_in(answer: str) -> str:
     """The layout's text in an answer: in a code block, or behind some words, or all of it."""
     answer = _THOUGHT.sub("", answer).replace("\r\n", "\n").strip()
     blocks = [found[2] for found in _FENCED.finditer(answer)]
-    for block in (*reversed(blocks), answer):
-        with suppress(SchemaError):
-            if isinstance(parse_content(block.encode()), dict):
-                return block
-    if blocks:
-        return blocks[-1]
     # A model that forgets the block often says something first.
-    start = re.search(r"^(\{|(title|objects|relations|pool|support)\s*:)", answer, re.MULTILINE)
-    return answer[start.start() :] if start else answer
+    start = _BEGIN.search(answer)
+    bare = answer[start.start() :] if start else answer
+    for text in (*reversed(blocks), bare):
+        with suppress(SchemaError):
+            content = parse_content(text.encode("utf-8", "replace"))
+            if isinstance(content, dict) and "objects" in content:
+                return text
+    return blocks[-1] if blocks else bare
 
 
 def _read_answer(answer: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], LayoutCheck]:

@@ -1,4 +1,4 @@
-"""A layout from a sentence: stub models that answer badly and well, hang, fail, and an endpoint on localhost."""
+"""A layout from a sentence: models that answer badly, well, never or too late, and an endpoint on localhost."""
 
 import http.server
 import json
@@ -79,9 +79,7 @@ def test_a_layout_that_is_there_is_taken_and_another_is_not_replaced(stub, tmp_p
         with pytest.raises(ConfigError, match="exists, with a layout of its own"):
             cg.ask_layout(request, stub, path, **{"pool": "dining", **options})
     (tmp_path / "seen.json").unlink()
-    cg.ask_layout(
-        "supper", stub, path, pool="dining", overwrite=True, show=lambda text: None
-    )
+    cg.ask_layout("supper", stub, path, pool="dining", overwrite=True, show=lambda text: None)
     assert asked_of(path)["request"] == "supper"
 
 
@@ -129,7 +127,9 @@ def test_one_that_never_answers_well_ends_with_its_last_errors(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["meal.answers.json"]
 
 
-@pytest.mark.parametrize("answer", ["", "  \n", "I cannot do that.", "```yaml\n```", "- a\n- b", "{"])
+@pytest.mark.parametrize(
+    "answer", ["", "  \n", "I cannot do that.", "```yaml\n```", "- a\n- b", "{"]
+)
 def test_an_answer_without_a_layout_is_a_fault(answer):
     answers = iter([answer, GOOD])
     found = cg.ask_layout(
@@ -174,15 +174,13 @@ def test_a_command_that_fails_shows_what_it_said(tmp_path):
 
 def test_a_command_that_hangs_is_ended_with_all_that_it_started(tmp_path):
     alive = tmp_path / "alive"
-    code = (
-        "import subprocess, sys, time\n"
-        "code = 'import time\\nwhile True: open(%r, \"w\").close(); time.sleep(0.05)'\n"
-        "subprocess.Popen([sys.executable, '-c', code]); time.sleep(1000)"
-    ) % str(alive)
-    code = code.replace("%r", repr(str(alive))) if "%r" in code else code
-    with pytest.raises(ModelError, match="no answer within 2 s"):
-        cg.ask_layout("a meal", command(tmp_path, code), pool="dining", timeout=2)
-    alive.unlink(missing_ok=True)
+    child = f"import time\nwhile True: open({str(alive)!r}, 'w').close(); time.sleep(0.05)"
+    code = f"import subprocess, sys, time\nsubprocess.Popen([sys.executable, '-c', {child!r}])\n"
+    with pytest.raises(ModelError, match="no answer within 4 s"):
+        cg.ask_layout(
+            "a meal", command(tmp_path, f"{code}time.sleep(1000)"), pool="dining", timeout=2
+        )
+    alive.unlink()
     time.sleep(0.5)
     assert not alive.exists()
 
