@@ -141,8 +141,9 @@ def repair(
       source: a bank or a scene of it (BANK:INDEX), failed scenes included; a JSON file; or a folder of JSON
         files. Such a file has pool, support, unit (m if not given, cm, mm), and objects, each with a name,
         the pool's name for it as asset if that is another, position (z up, from the floor below the
-        support's centre) and one of quaternion_wxyz, quaternion_xyzw, rpy_deg, rpy (radians), yaw_deg and
-        yaw (radians); scenes of `cluttergen export` are such files. Other keys are refused.
+        support's centre) and one of quaternion_wxyz, quaternion_xyzw, rpy_deg, rpy (radians), yaw_deg,
+        yaw (radians), and euler with euler_unit (deg, rad) and euler_order (xyz: fixed axes; XYZ: axes that
+        turn along); scenes of `cluttergen export` are such files. Other keys are refused.
       out: a bank, or for a single layout also a JSON file.
       pool: of JSON files that name none, or in place of what they name.
       support: likewise.

@@ -178,7 +178,7 @@ def test_a_command_that_hangs_is_ended_with_all_that_it_started(tmp_path):
     code = f"import subprocess, sys, time\nsubprocess.Popen([sys.executable, '-c', {child!r}])\n"
     with pytest.raises(ModelError, match="no answer within 4 s"):
         cg.ask_layout(
-            "a meal", command(tmp_path, f"{code}time.sleep(1000)"), pool="dining", timeout=2
+            "a meal", command(tmp_path, f"{code}time.sleep(1000)"), pool="dining", timeout=4
         )
     alive.unlink()
     time.sleep(0.5)
