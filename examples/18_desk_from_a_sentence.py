@@ -1,8 +1,8 @@
 # %% [markdown]
 # # A messy desk from one sentence
-# A language model writes a layout; what is wrong with it is sent back, four times at most; then scenes are made.
-# A model is a command that reads a prompt and prints an answer, or the URL of a chat endpoint. Here a stub
-# stands for one, so that you need neither: it misspells an object, then a relation, and then is right.
+# A language model writes a layout; its errors are sent back, four times at most; then scenes are made. A model
+# is a command that reads a prompt and prints an answer, or the URL of a chat endpoint. Here a stub stands for
+# one, so that you need neither: it misspells an object, then a relation, and then is right.
 
 # %%
 import sys
@@ -40,11 +40,11 @@ print("Here is your desk:\\n```yaml" + layout + "```")
 '''
 
 # %% [markdown]
-# The model gets the JSON schema of a layout (`cluttergen layout --schema`), the pool's objects with their sizes,
-# and the sentence. `desk.answers.json` keeps every answer with its errors, each with its place in the layout:
+# The model gets the JSON schema of a layout (`cluttergen layout --schema`), the pool's objects with their
+# sizes, and the sentence. `desk.answers.json` keeps every answer with its errors, and their places:
 #
-#     objects.notes: 'post_its', which no object of pool 'office+study+dining' is. Allowed: mug, bowl, ...
-#     relations[6]: 'beside' in relation 'notes beside phone:0.04'. Did you mean 'notes next_to phone:0.04'? ...
+#     objects.notes: 'post_its', which no object of pool 'office+study+dining' is. Allowed: keyboard, ...
+#     relations[6]: 'beside' in relation 'notes beside phone:0.04'. Did you mean 'notes next_to phone:0.04'?
 
 # %%
 if __name__ == "__main__":
@@ -61,7 +61,7 @@ if __name__ == "__main__":
 # %% [markdown]
 # ![Messy desks](../docs/images/tutorials/messy_desk.png)
 #
-# The same in one command, and with a model of your own behind an endpoint, whose key is in the variable `MY_KEY`:
+# The same in one command, and with a model behind an endpoint, whose key is in the variable `MY_KEY`:
 #
 #     cluttergen layout ask "a messy desk" --model "python my_model.py" --pool office+study+dining --out desk
 #     cluttergen layout ask "a messy desk" --model http://localhost:8000/v1 --model-name NAME --key-env MY_KEY

@@ -1,4 +1,4 @@
-"""A layout from a sentence: models that answer badly, well, never or too late, and an endpoint on localhost."""
+"""A layout from a sentence: models that answer badly, well, never or too late; an endpoint on localhost."""
 
 import http.server
 import json
