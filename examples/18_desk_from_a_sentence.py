@@ -1,6 +1,6 @@
 # %% [markdown]
 # # A messy desk from one sentence
-# A language model writes a layout; its errors are sent back, four times at most; then scenes are made. A model
+# A language model writes a layout; its errors are sent back, four times at most; then scenes are made. It
 # is a command that reads a prompt and prints an answer, or the URL of a chat endpoint. Here a stub stands for
 # one, so that you need neither: it misspells an object, then a relation, and then is right.
 

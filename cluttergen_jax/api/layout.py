@@ -55,7 +55,7 @@ def check_layout(layout: str | Path, **options: Unpack[SceneOptions]) -> LayoutC
     return check_text(data, options)
 
 
-@takes_spec(_OF_LAYOUT, pool="all")
+@takes_spec(_OF_LAYOUT, pool="all", support="")
 def ask_layout(
     request: str,
     model: str | Callable[[str], str],
@@ -87,6 +87,7 @@ def ask_layout(
       max_tries: answers that it may take, 1 to 5.
       overwrite: ask again though the file is there.
       show: is given a line after each answer; they go to stderr if None.
+      support: what the objects stand on; the model chooses if not given.
       options: fields of `SceneSpec` that are decided, in place of what the model would say.
 
     Returns:
@@ -116,6 +117,8 @@ def ask_layout(
     request = " ".join(request.split())
     answer, name = model_of(model, model_name, key_env, timeout)
     decided: dict[str, Any] = {"pool": "all", **options}
+    if not decided.get("support", ""):
+        decided.pop("support", None)
     say = show or partial(print, file=sys.stderr, flush=True)
     with hold_file(path):
         if path is not None and path.exists() and not overwrite:

@@ -53,6 +53,7 @@ def find_errors(options: Options) -> int:
     region=str | None,
     keep_out=tuple[str, ...],
     clutter=str | None,
+    left_out=("layout", *ask_layout.spec_refused),  # type: ignore[attr-defined]
 )
 def ask(options: Options) -> None:
     """Have a language model write a layout for a sentence, check it, and make scenes of it.
@@ -68,10 +69,9 @@ def ask(options: Options) -> None:
     path = out if is_layout else f"{name}.yaml"
     given = {"request": options.request, "model": options.model, "out": path}
     others = () if is_layout else tuple(inspect.signature(generate).parameters)
-    ignored = tuple(each for each in others if each not in ask_layout.spec_refused)  # type: ignore[attr-defined]
-    where = "with a sentence for a layout"
+    hint = "leaving it out, or for scenes a bank as --out"
     asked = options.call(
-        ask_layout, where, "leaving it out", ignored=ignored, only_changed=True, **given
+        ask_layout, f"with --out {out}", hint, ignored=others, only_changed=True, **given
     )
     print(asked)
     if is_layout:

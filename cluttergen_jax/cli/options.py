@@ -93,6 +93,7 @@ class Command:
         on the command line alone; and switches that no function takes, each with its help.
       resumes: whether the same command takes up what was interrupted.
       needs_mujoco: whether it is refused where MuJoCo cannot be imported.
+      left_out: arguments of the functions that are no options.
     """
 
     run: Callable[..., int | None]
@@ -100,6 +101,7 @@ class Command:
     kinds: Mapping[str, Any]
     resumes: bool
     needs_mujoco: bool
+    left_out: Sequence[str] = ()
 
     @functools.cached_property
     def options(self) -> type[Options]:
@@ -110,7 +112,7 @@ class Command:
         for function in functions:
             docs = _docs(function) | docs
             for name, parameter in inspect.signature(function).parameters.items():
-                if name not in fields and name not in _NO_OPTIONS:
+                if name not in fields and name not in (*_NO_OPTIONS, *self.left_out):
                     kind = self.kinds.get(name) or _as_given(_annotation(parameter, function))
                     is_needed = all(
                         name in inspect.signature(each).parameters for each in functions
@@ -158,10 +160,14 @@ class Command:
 
 
 def command(
-    *functions: Callable[..., Any], resumes: bool = True, needs_mujoco: bool = True, **kinds: Any
+    *functions: Callable[..., Any],
+    resumes: bool = True,
+    needs_mujoco: bool = True,
+    left_out: Sequence[str] = (),
+    **kinds: Any,
 ) -> Callable[[Callable[..., int | None]], Command]:
     """A decorator that makes a `Command` of what it does."""
-    return lambda run: Command(run, functions, kinds, resumes, needs_mujoco)
+    return lambda run: Command(run, functions, kinds, resumes, needs_mujoco, left_out)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
