@@ -303,7 +303,7 @@ def test_an_overlap_is_as_deep_as_two_boxes_are_in_each_other(tmp_path):
     height = find_support("table").top + 0.05
     entries = [
         {"name": name, "asset": "block", "position": [x, 0, height]}
-        for name, x in (("one", 0.0), ("two", 0.069), ("far", 0.3))
+        for name, x in (("one", 0.0), ("two", 0.069), ("far", -0.2))
     ]
     path = write(tmp_path / "a.json", *entries, pool=str(folder))
     (layout,) = cg.repair(path, tmp_path / "b.json", max_shift=0.001).layouts
