@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
 from cluttergen_jax.config import check_range
-from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.errors import ConfigError, printable
 from cluttergen_jax.spec import SceneOptions, takes_spec
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ def ask_layout(
     path = None if out is None else Path(out)
     if path is not None and path.suffix not in ENDINGS:
         raise ConfigError(f"out = '{out}'", "a YAML file", f"out='{out}.yaml'")
-    request = " ".join(request.split())
+    request = printable(" ".join(request.split()))
     answer, name = model_of(model, model_name, key_env, timeout)
     decided: dict[str, Any] = {"pool": "all", **options}
     if not decided.get("support", ""):

@@ -13,12 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.pool import embedded_root
-from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.errors import ConfigError, closest, printable
 from cluttergen_jax.files import is_regular_file
 from cluttergen_jax.generation.layout_check import (
     Layout,
@@ -64,7 +63,13 @@ def read_layout(layout: str | Path, pool: str | Path | None = None) -> SceneSpec
 def asked_of(layout: str | Path) -> Record | None:
     """The sentence, the model and the number of its answers, of a layout that a model has written."""
     asked = read_fields_of(layout).asked
-    return None if asked is None else msgspec.to_builtins(asked)
+    if asked is None:
+        return None
+    # A record holds no characters that a terminal obeys.
+    words = {
+        name: printable(" ".join(getattr(asked, name).split())) for name in ("request", "model")
+    }
+    return {**words, "tries": asked.tries}
 
 
 def read_fields_of(layout: str | Path, pool: str | Path | None = None) -> Layout:
