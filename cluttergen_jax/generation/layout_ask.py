@@ -29,6 +29,7 @@ import msgspec
 import yaml
 
 from cluttergen_jax.assets.facts import ObjectFacts
+from cluttergen_jax.assets.pool import Pool
 from cluttergen_jax.assets.support_file import find_support, list_supports
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest, printable
 from cluttergen_jax.files import write_atomically
@@ -37,9 +38,9 @@ from cluttergen_jax.generation.layout_check import (
     LayoutCheck,
     LayoutFault,
     check_text,
-    facts_of_pool,
     layout_schema,
     parse_content,
+    pool_of,
     read_fields,
 )
 from cluttergen_jax.progress import run_abandonable
@@ -121,12 +122,13 @@ def ask_for_layout(
       log: a JSON file of all prompts and answers, whole after every one.
     """
     pool = str(options["pool"])
-    first = prompt_of(request, facts_of_pool(pool), pool, options.get("support"))
+    found = pool_of(pool, options.get("exclude", ()))
+    first = prompt_of(request, found.facts, pool, options.get("support"))
     prompt = first
     answers: list[Answer] = []
     for number in range(1, max_tries + 1):
         text = _in_time(timeout, model, prompt)
-        content, check = _read_answer(text, options)
+        content, check = _read_answer(text, options, found)
         answers.append(Answer(text, check.faults))
         record = {
             "request": request,
@@ -262,12 +264,14 @@ def layout_in(answer: str) -> str:
     return blocks[-1] if blocks else bare
 
 
-def _read_answer(answer: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], LayoutCheck]:
+def _read_answer(
+    answer: str, options: Mapping[str, Any], pool: Pool
+) -> tuple[dict[str, Any], LayoutCheck]:
     """The mapping in an answer, and all that is wrong with it."""
     if not answer.strip():
         return {}, LayoutCheck((LayoutFault("", "the answer is empty", "a layout in YAML"),))
     text = layout_in(answer)
-    check = check_text(text.encode("utf-8", "replace"), options)
+    check = check_text(text.encode("utf-8", "replace"), options, pool)
     try:
         content = parse_content(text.encode("utf-8", "replace"))
     except SchemaError:

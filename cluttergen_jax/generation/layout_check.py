@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from graphlib import CycleError, TopologicalSorter
 from itertools import combinations
-from typing import Annotated, Any, NamedTuple, get_args, get_origin
+from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
 
 import msgspec
 import numpy as np
@@ -18,6 +18,7 @@ from msgspec import Meta
 
 from cluttergen_jax.assets import ObjectAsset, find_support
 from cluttergen_jax.assets.facts import ObjectFacts, parse_condition
+from cluttergen_jax.assets.pool import Pool, find_pool
 from cluttergen_jax.config import Poses
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest, first_names
 from cluttergen_jax.learning.methods import DEFAULT_METHOD
@@ -38,7 +39,7 @@ from cluttergen_jax.placement.relations import (
 )
 from cluttergen_jax.placement.room import area_asked, crowding
 from cluttergen_jax.schema import SchemaError, convert, parse_json, parse_yaml
-from cluttergen_jax.spec import SceneSpec
+from cluttergen_jax.spec import MOST_ON_SHELF, SceneSpec
 
 _NAMES_SHOWN = 40
 _SHORT = 80
@@ -268,11 +269,12 @@ class LayoutCheck(NamedTuple):
         return "\n".join([f"sound: {self.spec.num_objects} objects, {relations} relations", *notes])
 
 
-def check_text(data: bytes, options: Mapping[str, Any]) -> LayoutCheck:
+def check_text(data: bytes, options: Mapping[str, Any], found: Pool | None = None) -> LayoutCheck:
     """All that is wrong with a layout in YAML or JSON (`cluttergen_jax.check_layout`).
 
     Args:
       options: fields of `SceneSpec`, in place of what the layout says.
+      found: the pool of the options, where it is at hand.
     """
     try:
         content = parse_content(data)
@@ -281,7 +283,8 @@ def check_text(data: bytes, options: Mapping[str, Any]) -> LayoutCheck:
     layout, faults = read_fields(content)
     pool = str(options.get("pool", layout.pool))
     try:
-        facts = facts_of_pool(pool)
+        found = found or pool_of(pool, options.get("exclude", ()))
+        facts = found.facts
     except ClutterGenError as error:
         faults += [*meaning_faults(layout, ()), LayoutFault.of("pool", error)]
         return LayoutCheck(tuple(faults))
@@ -289,7 +292,7 @@ def check_text(data: bytes, options: Mapping[str, Any]) -> LayoutCheck:
         *meaning_faults(layout, facts, pool),
         *_pool_faults(layout, facts, pool),
         *_contradictions(layout),
-        *_number_faults(layout),
+        *_number_faults(layout, len(facts)),
     ]
     try:
         find_support(options.get("support", layout.support))
@@ -299,7 +302,7 @@ def check_text(data: bytes, options: Mapping[str, Any]) -> LayoutCheck:
         return LayoutCheck(tuple(sorted(faults, key=place_of)))
     try:
         spec = replace(spec_of_layout(layout), **options)
-        notes = _room_notes(spec, layout)
+        notes = _room_notes(spec, layout, found)
     except ClutterGenError as error:
         return LayoutCheck((LayoutFault.of(_field_of(error, layout), error),))
     return LayoutCheck((), tuple(notes), spec)
@@ -364,7 +367,12 @@ def _read_field(name: str, value: Any, kind: Any) -> tuple[Any, list[LayoutFault
         try:
             sound.append(msgspec.convert(part, kind))
         except (msgspec.ValidationError, RecursionError) as error:
-            faults.append(_fault_of_type(path, part, str(error)))
+            fault = _fault_of_type(path, part, str(error))
+            if choices := _choices(kind):
+                fault = replace(
+                    fault, allowed=", ".join(choices), meant=closest(str(value), choices)
+                )
+            faults.append(fault)
             if inner is list:
                 sound.append([_UNREAD])
     if inner is dict:
@@ -376,6 +384,12 @@ def _read_field(name: str, value: Any, kind: Any) -> tuple[Any, list[LayoutFault
             items = items[:MOST_RELATIONS]
         return items, faults
     return (sound[0] if sound else None), faults
+
+
+def _choices(kind: Any) -> tuple[str, ...]:
+    """The words that a field may be; none where it may be any."""
+    inner = get_args(kind)[0] if get_origin(kind) is Annotated else kind
+    return get_args(inner) if get_origin(inner) is Literal else ()
 
 
 def _fault_of_type(path: str, part: Any, said: str) -> LayoutFault:
@@ -395,7 +409,9 @@ def _fault_of_type(path: str, part: Any, said: str) -> LayoutFault:
     allowed = re.sub(r" - at .*$|, got `.*?`|Expected |`", "", said)
     allowed = re.sub(r"^\w+", lambda found: _KINDS.get(found[0], found[0]), allowed)
     hint = ""
-    if allowed == "text" and not isinstance(part, str):
+    if path == "objects":
+        hint = "objects: {my_mug: mug, plate: dinner_plate}"
+    elif allowed == "text" and not isinstance(part, str):
         hint = "quotes around it" if not isinstance(part, dict | list) else "one text"
     return LayoutFault(path, _short(part), allowed, hint)
 
@@ -420,11 +436,9 @@ def _kind_of(value: Any) -> str:
     return kinds.get(type(value), type(value).__name__)
 
 
-def facts_of_pool(pool: str) -> Sequence[ObjectFacts]:
-    """What is told of the objects of a pool (PoolError: there is none)."""
-    found = SceneSpec(pool=pool).find_pool()
-    assert found is not None
-    return found.facts
+def pool_of(name: str, exclude: Sequence[str] = ()) -> Pool:
+    """A pool without what is excluded (PoolError: there is none)."""
+    return find_pool(SceneSpec(pool=name, exclude=exclude).pool_text)
 
 
 def meaning_faults(
@@ -463,7 +477,7 @@ def meaning_faults(
             if name in (*layout.objects, TABLE, "any"):
                 continue
             if facts is None:
-                facts = facts_of_pool(pool)
+                facts = pool_of(pool).facts
             known = [each.name for each in facts]
             if known and name not in known:
                 own = f"{', '.join(layout.objects)}, or " if layout.objects else ""
@@ -589,19 +603,22 @@ def _contradiction(one: Relation, two: Relation) -> str:
     return ""
 
 
-def _number_faults(layout: Layout) -> Iterator[LayoutFault]:
-    """More objects than a scene can have, and none."""
+def _number_faults(layout: Layout, num_known: int) -> Iterator[LayoutFault]:
+    """More objects than a scene can have, and other numbers that cannot be; the pool has `num_known`."""
     number = len(layout.objects) + layout.others
     if number > MAX_SLOTS:
         path = "others" if layout.others > len(layout.objects) else "objects"
         yield LayoutFault(path, f"{number} objects in all", f"up to {MAX_SLOTS}")
-    if layout.clutter:
-        for name, value in layout.clutter.items():
-            try:
-                Clutter.of({name: value})
-            except ConfigError as error:
-                fault = LayoutFault.of(f"clutter.{name}", error)
-                yield replace(fault, hint="clutter: {stack: 2, near: 0.02}")
+    if layout.others and num_known > MOST_ON_SHELF:
+        given = f"{layout.others} of a pool of {num_known} objects"
+        allowed = f"0 where the pool has more than {MOST_ON_SHELF}"
+        yield LayoutFault("others", given, allowed, "naming them in `objects`")
+    for name, value in layout.clutter.items():
+        try:
+            Clutter.of({name: value})
+        except ConfigError as error:
+            fault = LayoutFault.of(f"clutter.{name}", error)
+            yield replace(fault, hint="clutter: {stack: 2, near: 0.02}")
 
 
 def _field_of(error: ClutterGenError, layout: Layout) -> str:
@@ -641,13 +658,12 @@ that a layout names, but for what is on or in another, from where it is refused:
 stand on others, fills 8 of 8 tables with ten of kitchen at 1.5, 4 of 8 at 3.0, 2 of 8 at 4.6."""
 
 
-def _room_notes(spec: SceneSpec, layout: Layout) -> list[str]:
+def _room_notes(spec: SceneSpec, layout: Layout, pool: Pool) -> list[str]:
     """What is odd about the room that a request has.
 
     Raises:
       ClutterGenError: objects cannot have room, or what they are asked for is not to be had.
     """
-    pool = spec.find_pool()
     method = spec.method if isinstance(spec.method, str) else DEFAULT_METHOD
     spec.check_method(method)
     config = spec.problem_config(method, pool)

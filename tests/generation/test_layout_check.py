@@ -240,6 +240,8 @@ def test_relations_that_can_hold_together_are_let_be(tmp_path, relations):
         ("objects: {a: mug}\nregion: 3x3", "region", "region"),
         ("objects: {a: 'mass<x'}", "objects.a", "a number"),
         ("objects: {}", "objects", "1 to 128"),
+        ("objects: {a: mug}\nposes: restin", "poses", "Did you mean 'resting'?"),
+        ("objects: [{name: mug}]", "objects", "Try: objects: {my_mug: mug"),
     ],
 )
 def test_what_cannot_be_is_told_with_its_field(tmp_path, text, place, said):
