@@ -10,7 +10,8 @@ Every command has a function with the same defaults:
 
     import_pool, import_support    meshes, URDF, SDF, MJCF -> a pool, a support
     pool_poses, set_pose           the resting poses of an object of a pool; selects another one
-    read_layout                    a file of objects and relations -> a request
+    read_layout, check_layout      a file of objects and relations -> a request; all that is wrong with it
+    layout_schema, ask_layout      its JSON schema; a sentence and a language model -> such a file
     generate, verify, stats_of     scenes -> a bank on disk; which are stable; what it holds
     judge, repair                  anybody's scenes by one strict rule; broken layouts -> stable ones
     train, train_suite, pretrain   a pool -> a policy; those of a suite; an encoder
@@ -37,6 +38,7 @@ from typing import TYPE_CHECKING, Any
 from cluttergen_jax.api.export import export, pull_bank, pull_policies, push_bank
 from cluttergen_jax.api.generate import generate, place_by_hand, repair
 from cluttergen_jax.api.import_ import import_pool, import_support
+from cluttergen_jax.api.layout import ask_layout, check_layout
 from cluttergen_jax.api.render import make_dataset, render, view
 from cluttergen_jax.api.train import pretrain, train, train_suite
 from cluttergen_jax.judging.api import certify, judge, verify
@@ -68,6 +70,7 @@ if TYPE_CHECKING:
         make_vector_env,
         train_brax,
     )
+    from cluttergen_jax.generation.layout_check import layout_schema
     from cluttergen_jax.generation.layouts import list_layouts, read_layout
     from cluttergen_jax.importing.poses import pool_poses, set_pose
     from cluttergen_jax.placement.region import KeepOut, make_region
@@ -94,7 +97,9 @@ __all__ = [
     "SceneBatch",
     "SceneOptions",
     "SceneSpec",
+    "ask_layout",
     "certify",
+    "check_layout",
     "evaluate",
     "export",
     "generate",
@@ -102,6 +107,7 @@ __all__ = [
     "import_pool",
     "import_support",
     "judge",
+    "layout_schema",
     "list_layouts",
     "list_pools",
     "list_robots",
@@ -172,6 +178,7 @@ _MODULES = {
     "placement.region": ("KeepOut", "make_region"),
     "placement.replay": ("Replay",),
     "placement.scenes": ("SceneBatch",),
+    "generation.layout_check": ("layout_schema",),
     "generation.layouts": ("list_layouts", "read_layout"),
     "generation.environments": (
         "make_env",

@@ -95,12 +95,14 @@ def generate(
     """
     from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.generation.generate import write_bank
-    from cluttergen_jax.generation.layouts import read_layout
+    from cluttergen_jax.generation.layouts import asked_of, read_layout
 
+    asked_in_words = None
     if layout is not None:
         if spec is not None:
             raise ConfigError(f"`layout` {str(layout)!r} beside `spec`", "one or the other")
-        spec = read_layout(layout)
+        spec = read_layout(layout, options.get("pool"))
+        asked_in_words = asked_of(layout)
     asked = spec_of(generate, spec, options)
     check_range("num_scenes", num_scenes, 1, MAX_SCENES, 20)
     check_range("seed", seed, 0, _MOST, 0)
@@ -116,6 +118,7 @@ def generate(
         overwrite,
         cluster_of(cluster, workers),
         allow_other_bits,
+        asked_in_words,
     )
 
 
@@ -141,8 +144,9 @@ def repair(
       source: a bank or a scene of it (BANK:INDEX), failed scenes included; a JSON file; or a folder of JSON
         files. Such a file has pool, support, unit (m if not given, cm, mm), and objects, each with a name,
         the pool's name for it as asset if that is another, position (z up, from the floor below the
-        support's centre) and one of quaternion_wxyz, quaternion_xyzw, rpy_deg, rpy (radians), yaw_deg and
-        yaw (radians); scenes of `cluttergen export` are such files. Other keys are refused.
+        support's centre) and one of quaternion_wxyz, quaternion_xyzw, rpy_deg, rpy (radians), yaw_deg,
+        yaw (radians), and euler with euler_unit (deg, rad) and euler_order (xyz: fixed axes; XYZ: axes that
+        turn along); scenes of `cluttergen export` are such files. Other keys are refused.
       out: a bank, or for a single layout also a JSON file.
       pool: of JSON files that name none, or in place of what they name.
       support: likewise.

@@ -91,6 +91,8 @@ def main(args: Sequence[str] | None = None) -> int:
     """Parses the command line and runs it; the exit status."""
     words = list(sys.argv[1:] if args is None else args)
     name = words[0] if words else ""
+    if words[:2] == ["layout", "--schema"]:
+        words[1] = "schema"
     if name in ("-h", "--help", "") or name == "--version":
         print(_version() if name == "--version" else overview())
         return 0 if name else 2
@@ -301,6 +303,7 @@ COMMANDS = {
     "generate": "Generate verified cluttered scenes and save them as a bank.",
     "verify": "Check that saved scenes are stable, in plain MuJoCo. Exit status 1 if one is not.",
     "judge": "Judge anybody's scenes by one strict rule: MJCF, URDF, SDF or USD files, or arrays of starts.",
+    "layout": "Layouts, what shall stand where: `layout ask`, `layout check`, and `layout --schema`.",
     "repair": "Make broken layouts stable with little motion: noisy poses, JSON of a language model.",
     "export": "Write scenes of a bank as a self-contained folder for another program.",
     "certify": "Add a stability certificate to each successful scene of a bank, a column for each measure.",
@@ -332,6 +335,7 @@ COMMANDS = {
 _MODULES = {
     "doctor": ("doctor",),
     "downstream": ("placer", "robot", "rearrange"),
+    "layouts": ("layout",),
     "learning": ("train", "pretrain", "evaluate"),
     "pools": ("import", "pool", "inspect", "list"),
 }

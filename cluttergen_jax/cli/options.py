@@ -82,7 +82,8 @@ class Options:
 class Command:
     """A command, whose options are the arguments of functions, with their defaults.
 
-    What only one of several functions takes, and cannot do without, may be left out on the command line.
+    What only one of several functions takes, and cannot do without, may be left out on the command line,
+    unless `kinds` has a type for it of which None is none.
 
     Attributes:
       run: what it does with its options; the exit status, None for 0. Its docstring is the command's help.
@@ -92,6 +93,7 @@ class Command:
         on the command line alone; and switches that no function takes, each with its help.
       resumes: whether the same command takes up what was interrupted.
       needs_mujoco: whether it is refused where MuJoCo cannot be imported.
+      left_out: arguments of the functions that are no options.
     """
 
     run: Callable[..., int | None]
@@ -99,6 +101,7 @@ class Command:
     kinds: Mapping[str, Any]
     resumes: bool
     needs_mujoco: bool
+    left_out: Sequence[str] = ()
 
     @functools.cached_property
     def options(self) -> type[Options]:
@@ -109,11 +112,11 @@ class Command:
         for function in functions:
             docs = _docs(function) | docs
             for name, parameter in inspect.signature(function).parameters.items():
-                if name not in fields and name not in _NO_OPTIONS:
+                if name not in fields and name not in (*_NO_OPTIONS, *self.left_out):
                     kind = self.kinds.get(name) or _as_given(_annotation(parameter, function))
                     is_needed = all(
                         name in inspect.signature(each).parameters for each in functions
-                    )
+                    ) or (name in self.kinds and not _may_be_none(kind))
                     fields[name] = (name, kind, _default(parameter.default, kind, is_needed))
         for name in self.kinds.keys() - fields.keys():
             fields[name] = (name, self.kinds[name], dataclasses.field(default=False))
@@ -157,10 +160,14 @@ class Command:
 
 
 def command(
-    *functions: Callable[..., Any], resumes: bool = True, needs_mujoco: bool = True, **kinds: Any
+    *functions: Callable[..., Any],
+    resumes: bool = True,
+    needs_mujoco: bool = True,
+    left_out: Sequence[str] = (),
+    **kinds: Any,
 ) -> Callable[[Callable[..., int | None]], Command]:
     """A decorator that makes a `Command` of what it does."""
-    return lambda run: Command(run, functions, kinds, resumes, needs_mujoco)
+    return lambda run: Command(run, functions, kinds, resumes, needs_mujoco, left_out)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -230,6 +237,12 @@ def _as_given(kind: Any) -> Any:
     return (
         types.GenericAlias(tuple, (*get_args(kind), ...)) if get_origin(kind) is Sequence else kind
     )
+
+
+def _may_be_none(kind: Any) -> bool:
+    """Whether an option of a type may be left out."""
+    kind = get_args(kind)[0] if get_origin(kind) is Annotated else kind
+    return types.NoneType in get_args(kind)
 
 
 def _metavar(kind: Any) -> str | None:

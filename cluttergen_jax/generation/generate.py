@@ -49,6 +49,7 @@ from cluttergen_jax.scene.bank.remote import publish_all, url_of
 from cluttergen_jax.scene.bank.stats import ClutterTally, Totals
 from cluttergen_jax.scene.bank.table import table_of
 from cluttergen_jax.scene.bank.writer import Objects, names_of
+from cluttergen_jax.schema import Record
 from cluttergen_jax.spec import SceneSpec
 
 _FEW = 0.5
@@ -85,8 +86,13 @@ def write_bank(
     overwrite: bool = False,
     cluster: Cluster | None = None,
     allow_other_bits: bool = False,
+    asked_in_words: Record | None = None,
 ) -> GeneratedBank:
-    """The bank of a request and a seed in a folder, begun or continued; see `cluttergen_jax.generate`."""
+    """The bank of a request and a seed in a folder, begun or continued; see `cluttergen_jax.generate`.
+
+    Args:
+      asked_in_words: the sentence and the model that its layout is from (`layouts.asked_of`).
+    """
     # Where blocks draw their objects from `shelves`, the setup is the first block's.
     method, setup, shelves = set_up_bank(spec, seed)
     problem = setup.problem
@@ -101,6 +107,8 @@ def write_bank(
         spec.checkpoint,
         None if shelves is None else shelves.pool.names,
     )
+    if asked_in_words is not None:
+        recipe["asked"] = asked_in_words
 
     def make_tables(blocks: Sequence[Block]) -> Iterator[tuple[int, pa.Table]]:
         if cluster is not None:

@@ -7,43 +7,32 @@ read or refused by its name.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from cluttergen_jax.assets.pool import embedded_root, find_pool
-from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.assets.pool import embedded_root
+from cluttergen_jax.errors import ConfigError, closest, printable
 from cluttergen_jax.files import is_regular_file
+from cluttergen_jax.generation.layout_check import (
+    Layout,
+    LayoutError,
+    meaning_faults,
+    parse_content,
+    place_of,
+    read_fields,
+    spec_of_layout,
+)
 from cluttergen_jax.geometry import product, rotation_matrix, turn_between
-from cluttergen_jax.placement.relations import conditions_of, parse_relations
-from cluttergen_jax.schema import SchemaError, convert, parse_yaml, read_json, read_written
+from cluttergen_jax.schema import Record, SchemaError, read_json, read_written
 from cluttergen_jax.spec import SceneSpec
 
 _HINT = "a file such as those of `cluttergen list`"
-
-
-class _File(msgspec.Struct, forbid_unknown_fields=True):
-    """A layout as its file has it.
-
-    Attributes:
-      title: what people call it.
-      objects: names and the condition of the objects that each may stand for (`SceneSpec.roles`).
-      relations: what must hold of them (`SceneSpec.relations`).
-      pool, support, region: see `SceneSpec`.
-      others: objects of the pool that stand anywhere besides.
-    """
-
-    objects: dict[str, str]
-    title: str = ""
-    relations: list[str] = []
-    pool: str = str(SceneSpec.pool)
-    support: str = str(SceneSpec.support)
-    region: str | None = None
-    others: int = 0
 
 
 def list_layouts() -> dict[str, Path]:
@@ -51,54 +40,56 @@ def list_layouts() -> dict[str, Path]:
     return {path.stem: path for path in sorted((embedded_root() / "layouts").glob("*.yaml"))}
 
 
-def read_layout(layout: str | Path) -> SceneSpec:
+def read_layout(layout: str | Path, pool: str | Path | None = None) -> SceneSpec:
     """The request that a layout is: a file, or the name of one that comes with the package.
 
         cluttergen_jax.generate("out", cluttergen_jax.read_layout("breakfast_for_two"))
 
     A file has `objects`, names of your own and which objects of the pool each may stand for; `relations`
-    between them and other objects of the pool; and, if wanted, `title`, `pool`, `support`, `region` and
-    `others`, the number of further objects of the pool. Where the pool has too few objects for the names,
-    they come more than once.
+    between them and other objects of the pool; and, if wanted, `title`, `pool`, `support`, `region`, `poses`,
+    `clutter`, `crowd`, `natural` and `others`, the number of further objects of the pool. Where the pool has too few
+    objects for the names, they come more than once. `layout_schema` describes each field.
+
+    Args:
+      pool: in place of the one that it names.
 
     Raises:
-      ConfigError: there is no such layout, it is no YAML, or something in it is not understood.
+      ConfigError: there is no such layout, it is no YAML, or something in it is not understood; a
+        `LayoutError` has all that is wrong.
     """
-    given = _read(layout)
-    relations = parse_relations(tuple(given.relations))
-    conditions = conditions_of(tuple(given.objects.items()), relations)
-    _check_names([name for name in conditions if name not in given.objects], given, layout)
-    if given.others < 0:
-        raise ConfigError(f"others = {given.others} in layout {str(layout)!r}", "0 or more")
-    # Only what may be placed is compiled into the world.
-    objects = () if given.others else tuple(dict.fromkeys(conditions.values()))
-    return SceneSpec(
-        pool=given.pool,
-        objects=objects,
-        num_objects=len(conditions) + given.others,
-        repeat=True,
-        support=given.support,
-        region=given.region,
-        relations=tuple(given.relations),
-        roles=given.objects,
-    )
+    return spec_of_layout(read_fields_of(layout, pool))
 
 
-def _check_names(names: Sequence[str], given: _File, layout: str | Path) -> None:
-    """Refuses names in relations that are neither the layout's own nor objects of its pool (ConfigError)."""
-    if not names:
-        return
-    pool = find_pool(given.pool).names
-    for name in names:
-        if name not in ("any", *pool):
-            raise ConfigError(
-                f"{name!r} in a relation of layout {str(layout)!r}",
-                f"{', '.join(given.objects)}, or an object of pool {given.pool!r}: {', '.join(pool)}",
-                meant=closest(name, [*given.objects, *pool]),
-            )
+def asked_of(layout: str | Path) -> Record | None:
+    """The sentence, the model and the number of its answers, of a layout that a model has written."""
+    asked = read_fields_of(layout).asked
+    if asked is None:
+        return None
+    # A record holds no characters that a terminal obeys.
+    words = {
+        name: printable(" ".join(getattr(asked, name).split())) for name in ("request", "model")
+    }
+    return {**words, "tries": asked.tries}
 
 
-def _read(layout: str | Path) -> _File:
+def read_fields_of(layout: str | Path, pool: str | Path | None = None) -> Layout:
+    """The fields of a layout; see `read_layout`."""
+    path = layout_path(layout)
+    try:
+        content = parse_content(read_written(path))
+    except (SchemaError, OSError) as error:
+        raise ConfigError(f"layout {path}: {error}", "YAML", _HINT) from error
+    found, faults = read_fields(content)
+    if pool is not None:
+        found.pool = str(pool)
+    faults += meaning_faults(found)
+    if faults:
+        raise LayoutError(str(layout), sorted(faults, key=place_of))
+    return found
+
+
+def layout_path(layout: str | Path) -> Path:
+    """The file of a layout (ConfigError: there is none)."""
     known = list_layouts()
     path = known.get(str(layout), Path(layout))
     if not is_regular_file(path):
@@ -106,15 +97,7 @@ def _read(layout: str | Path) -> _File:
         raise ConfigError(
             f"layout {str(layout)!r}", f"a YAML file, or {', '.join(known)}", _HINT, meant
         )
-    try:
-        content = parse_yaml(read_written(path))
-    except (SchemaError, OSError) as error:
-        raise ConfigError(f"layout {path}: {error}", "YAML", _HINT) from error
-    try:
-        return convert(content, _File)
-    except SchemaError as error:
-        fields = ", ".join(_File.__struct_fields__)
-        raise ConfigError(f"layout {path}: {error}", f"a mapping with {fields}", _HINT) from error
+    return path
 
 
 FORM = '{"pool": "dining", "support": "table", "objects": [{"name": "mug", "position": [0.1, 0, 0.75]}]}'
@@ -183,7 +166,9 @@ def read_layout_json(path: Path) -> LayoutFile:
     A position is `position` in the file's or the object's `unit` (m, cm, mm), or `position_m`, `position_cm`,
     `position_mm`. An orientation is one of `quaternion_wxyz`, `quaternion_xyzw`, `rpy` or `euler_rad`,
     `rpy_deg` or `euler_deg` (turns about the fixed axes x, y, z in this order), `yaw` or `yaw_rad`, `yaw_deg`
-    (about z); none is upright.
+    (about z), or `euler` with `euler_unit` (deg, rad) and `euler_order`: small letters are turns about fixed
+    axes, one after another, as xyz and zyx; capital ones are about axes that turn along, as ZYX. None is
+    upright.
 
     Raises:
       ConfigError: it is no layout, has a key that is not known, or says two things of one object.
@@ -280,7 +265,9 @@ def _entry(entry: Any, where: str, unit: str, notes: list[str]) -> LayoutEntry:
     if not isinstance(entry, dict):
         allowed = '{"name": ..., "position": [...]}'
         raise ConfigError(f"{where} = {_short(entry)}, so it is no layout", allowed)
-    _check_keys(entry, (*_PLAIN, *_PLACES, *_TURNS, *_REMARKS, *_RESULTS), where)
+    # Angles without their unit could be either.
+    stated = (_EULER, *_OF_EULER) if "euler_unit" in entry else _OF_EULER
+    _check_keys(entry, (*_PLAIN, *_PLACES, *_TURNS, *stated, *_REMARKS, *_RESULTS), where)
     name = entry.get("name")
     asset = entry.get("asset", "")
     if not isinstance(name, str) or not name or not isinstance(asset, str):
@@ -314,7 +301,8 @@ def _position(entry: Mapping[str, Any], where: str, unit: str) -> np.ndarray:
 
 def _quaternion(entry: Mapping[str, Any], where: str, notes: list[str]) -> np.ndarray:
     """f64[4], wxyz, of unit length."""
-    found = {key: _TURNS[key](entry[key], f"{where}: {key}") for key in _TURNS if key in entry}
+    readers = _TURNS | _readers_of_euler(entry, where)
+    found = {key: readers[key](entry[key], f"{where}: {key}") for key in readers if key in entry}
     for key, value in found.items():
         length = float(np.linalg.norm(value))
         if length < 1e-3:
@@ -338,6 +326,46 @@ def _quaternion(entry: Mapping[str, Any], where: str, notes: list[str]) -> np.nd
                     f"{where}: by {key} it is tilted or lies; in the order of {other} it is upright"
                 )
     return first
+
+
+def _readers_of_euler(
+    entry: Mapping[str, Any], where: str
+) -> dict[str, Callable[[Any, str], np.ndarray]]:
+    """What reads the angles of an object whose unit or order has a key of its own."""
+    if not any(key in entry for key in _OF_EULER):
+        return {}
+    angles = [key for key in (_EULER, "euler_deg", "euler_rad") if key in entry]
+    if not angles:
+        stated = " and ".join(key for key in _OF_EULER if key in entry)
+        raise ConfigError(f"{where}: {stated} without angles", "euler with three angles")
+    order = entry.get("euler_order", "")
+    if not isinstance(order, str) or (order and not _ORDER.fullmatch(order)):
+        raise ConfigError(
+            f"{where}: euler_order = {_short(order)}",
+            "three axes, xyz for turns about fixed axes, XYZ for turns about axes that turn along",
+        )
+    unit = entry.get("euler_unit", "deg")
+    if unit not in _ANGLE_UNITS:
+        raise ConfigError(f"{where}: euler_unit = {_short(unit)}", ", ".join(_ANGLE_UNITS))
+    if not order and sum(each != 0 for each in _numbers(entry[angles[0]], 3, where)) > 1:
+        raise ConfigError(
+            f"{where}: {angles[0]} of several turns without its order",
+            "euler_order, such as xyz (fixed axes) or ZYX (axes that turn along)",
+        )
+    factors = {_EULER: _ANGLE_UNITS[unit], "euler_deg": _DEGREE, "euler_rad": 1.0}
+    return {key: _turns_in_order(order or "xyz", factors[key]) for key in angles}
+
+
+def _turns_in_order(order: str, factor: float) -> Callable[[Any, str], np.ndarray]:
+    def read(value: Any, where: str) -> np.ndarray:
+        angles = factor * _numbers(value, 3, where)
+        if factor == 1.0 and np.abs(angles).max() > _FULL_TURN:
+            raise ConfigError(
+                f"{where} = {value!r}, which is more than a full turn", "radians", "degrees"
+            )
+        return Rotation.from_euler(order, angles).as_quat(scalar_first=True)
+
+    return read
 
 
 def _short(value: Any) -> str:
@@ -402,6 +430,10 @@ def _about(axis: int, angle: float) -> np.ndarray:
 
 
 _DEGREE = math.pi / 180
+_EULER = "euler"
+_OF_EULER = ("euler_unit", "euler_order")
+_ORDER = re.compile(r"(?!.?([xyzXYZ])\1)(?:[xyz]{3}|[XYZ]{3})")
+_ANGLE_UNITS = {"deg": _DEGREE, "degrees": _DEGREE, "rad": 1.0, "radians": 1.0}
 _OF_FILE = ("pool", "support", "objects", "unit", "units", "is_stable")
 _PLAIN = ("name", "asset", "unit", "units")
 _PLACES = ("position", "position_m", "position_cm", "position_mm")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -26,6 +26,7 @@ from cluttergen_jax.generation.layouts import FORM, UNITS, LayoutEntry, read_lay
 from cluttergen_jax.generation.recipe import recipe_of
 from cluttergen_jax.geometry import conjugate, transform_points, turn_between
 from cluttergen_jax.learning.methods import Method
+from cluttergen_jax.physics.margin import OverlapProbe
 from cluttergen_jax.placement import MIN_MARGIN, PlacementConfig
 from cluttergen_jax.placement.problem import ProblemConfig, Setup, make_setup
 from cluttergen_jax.placement.repair import LayoutRepair, RepairConfig
@@ -321,6 +322,7 @@ def repair_layouts(
     setup, indices = _setup_of(given)
     world = setup.problem.world
     mend = LayoutRepair(setup, limits)
+    probe = OverlapProbe(world.layout)
     half_extents = np.asarray(setup.problem.rules.geometry.half_extents)
 
     def row_of(number: int) -> pa.Table:
@@ -330,7 +332,7 @@ def repair_layouts(
         return table_of(np.array([number]), batch, world.names, half_extents)
 
     def report(path: Path, rows: Iterable[BankRow]) -> RepairReport:
-        compare = partial(_compare, world.names, given.support, limits.max_shift)
+        compare = partial(_compare, world.names, given.support, limits.max_shift, probe)
         return RepairReport(path, tuple(map(compare, given.layouts, indices, rows)), given.notes)
 
     with Progress("repairing", len(given.layouts), "layout") as progress:
@@ -406,6 +408,7 @@ def _compare(
     names: Sequence[str],
     support: SupportAsset,
     max_shift: float,
+    probe: OverlapProbe,
     layout: BrokenLayout,
     indices: Sequence[int],
     row: BankRow,
@@ -416,9 +419,14 @@ def _compare(
     poses = np.array(
         [placed.get(names[i], pose) for i, pose in zip(indices, layout.poses, strict=True)]
     )
+    overlaps: list[dict[str, float]] = [{} for _ in layout.names]
+    if not is_placed.all():
+        overlaps = _overlaps_of(layout, indices, len(names), probe)
     reasons = tuple(
-        "" if there else reason_without_place(asset, pose, support, max_shift)
-        for asset, pose, there in zip(layout.objects, layout.poses, is_placed, strict=True)
+        "" if there else reason_without_place(asset, pose, support, max_shift, overlap)
+        for asset, pose, there, overlap in zip(
+            layout.objects, layout.poses, is_placed, overlaps, strict=True
+        )
     )
     hint = ""
     if any(reasons):
@@ -426,14 +434,43 @@ def _compare(
     return RepairedLayout(layout, row.verdict, poses, is_placed, row.is_success, reasons, hint)
 
 
+def _overlaps_of(
+    layout: BrokenLayout, indices: Sequence[int], num_objects: int, probe: OverlapProbe
+) -> list[dict[str, float]]:
+    """Of each object of a layout as it was given, metres by which it overlaps others, the deepest first."""
+    poses = np.zeros((num_objects, 7))
+    poses[:, 3] = 1.0
+    poses[list(indices)] = layout.poses
+    depths = probe.depths(poses, np.isin(np.arange(num_objects), list(indices)))
+    if depths is None:
+        return [{} for _ in indices]
+    found = []
+    for index in indices:
+        own = depths[index, list(indices)]
+        order = [place for place in np.argsort(-own) if own[place] > _OVERLAPS]
+        found.append({layout.names[place]: float(own[place]) for place in order})
+    return found
+
+
+_OVERLAPS = 0.001
+"""Metres from which an overlap is worth a word."""
+_MOST_OVERLAPS = 3
 _NEAR = 0.15
 """Metres above or below a surface within which an object counts as meant to be on it."""
 
 
 def reason_without_place(
-    asset: ObjectAsset, pose: np.ndarray, support: SupportAsset, max_shift: float
+    asset: ObjectAsset,
+    pose: np.ndarray,
+    support: SupportAsset,
+    max_shift: float,
+    overlaps: Mapping[str, float] | None = None,
 ) -> str:
-    """Why an object at a pose, f64[7], finds no place on a support within `max_shift` metres."""
+    """Why an object at a pose, f64[7], finds no place on a support within `max_shift` metres.
+
+    Args:
+      overlaps: the objects that it overlaps there, and by how many metres, the deepest first.
+    """
     surface, beyond, gap = _nearest(asset, pose, support)
     where = (
         f"{support.name!r}"
@@ -446,9 +483,16 @@ def reason_without_place(
         said.append(f"{-gap:.2f} m under {top}")
     elif gap > max_shift:
         said.append(f"{gap:.2f} m above {top}")
-    return (
-        " and ".join(said) or f"too little room within {max_shift:g} m, or it does not stay there"
-    )
+    no_room = f"too little room within {max_shift:g} m, or it does not stay there"
+    if overlaps:
+        deepest = list(overlaps.items())[:_MOST_OVERLAPS]
+        parts = [f"{name!r} by {1000 * depth:.0f} mm" for name, depth in deepest]
+        more = len(overlaps) - len(deepest)
+        parts += [f"{more} more"] if more else []
+        return " and ".join([*said, f"overlaps {', '.join(parts)}"]) + (
+            "" if said else f": {no_room}"
+        )
+    return " and ".join(said) or no_room
 
 
 def hint_for_positions(

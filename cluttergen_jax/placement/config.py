@@ -185,12 +185,11 @@ class PlacementConfig(PlacementRequest):
             )
 
     def _check_crowd(self) -> None:
-        # The door would have to be closed before its objects are drawn together.
+        if not (isinstance(self.crowd, Real) and 0 <= self.crowd <= 1) or self.crowd is True:
+            raise ConfigError(f"crowd = {self.crowd!r}", "0 to 1", "crowd=0.5")
         if self.doors == "closed" and self.crowd_targets is not None:
             given = "objects drawn together (`crowd`) in furniture whose doors are closed then"
             raise ConfigError(given, "one or the other", "doors='open'")
-        if not (isinstance(self.crowd, Real) and 0 <= self.crowd <= 1) or self.crowd is True:
-            raise ConfigError(f"crowd = {self.crowd!r}", "0 to 1", "crowd=0.5")
         if not self.crowd or self.clutter is None:
             return
         targets = self.clutter.targets

@@ -152,6 +152,14 @@ def make_problem(
             "1 to 200 objects here; `generate` and `make_sampler` take any number",
             "fewer `objects`",
         )
+    chosen, support, _ = check_objects(config, pool)
+    return compose(chosen, support, config, standing)
+
+
+def check_objects(
+    config: ProblemConfig, pool: Pool | None = None
+) -> tuple[list[ObjectAsset], SupportAsset, Rectangle]:
+    """The objects, the support and the region that are asked for; errors: `make_problem`."""
     pool = pool or find_pool(config.pool, names=config.objects)
     chosen = [pool[name] for name in config.objects] if config.objects else list(pool.objects)
     whole = find_support(config.support).on_surface(config.surface)
@@ -164,7 +172,7 @@ def make_problem(
     check_surface(chosen, support, config.placement, config.contact, config.region is not None)
     check_room(chosen, support, region, config.placement, config.is_piled)
     check_crowding(chosen, config, support)
-    return compose(chosen, whole, config, standing)
+    return chosen, whole, region
 
 
 @dataclass(frozen=True)

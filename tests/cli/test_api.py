@@ -41,6 +41,8 @@ FUNCTIONS = (
     "rearrange",
     "judge",
     "repair",
+    "check_layout",
+    "ask_layout",
 )
 # Options and defaults as `--help` told them before commands were made from functions.
 OPTIONS = json.loads((Path(__file__).parent / "options.json").read_text())

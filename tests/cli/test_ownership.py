@@ -57,6 +57,9 @@ WRITERS = {
     "export mjlab": Writing("export {bank} --format mjlab --out {out}", is_beside=True),
     "repair": Writing("repair {layout} --out {out}"),
     "repair json": Writing("repair {layout} --out {out}.json", "{out}.json", is_beside=True),
+    "layout ask": Writing(
+        "layout ask breakfast --model true --out {out}", "{out}.yaml", is_beside=True
+    ),
     "render": Writing("render {bank} --no-picture --depth --out {out}"),
     "render bop": Writing("render {bank} --no-picture --bop --out {out}", "{out}/bop"),
     "judge": Writing("judge {scene} --seconds 0.1 --out {out}"),
@@ -90,6 +93,8 @@ WRITERS = {
 READERS = {
     "verify": "reads; its one file, verification.json, is written whole, and the last one says what is so",
     "view": "reads; a screenshot gets a name of its own (`test_screenshots_get_names_of_their_own`)",
+    "layout check": "reads",
+    "layout schema": "reads",
     "list": "reads",
     "doctor": "reads",
 }
@@ -159,11 +164,11 @@ def test_a_second_writer_is_refused_before_it_changes_anything(name, places, tmp
 
 def test_every_command_that_writes_is_known():
     first = {name.split()[0] for name in WRITERS}
-    assert first | READERS.keys() == set(COMMANDS)
+    assert first | {name.split()[0] for name in READERS} == set(COMMANDS)
     assert not first & READERS.keys()
     # Commands within a command.
     inner = {name for name in OPTIONS if " " in name}
-    assert inner <= set(WRITERS)
+    assert inner <= set(WRITERS) | set(READERS)
     assert not any("--out" in OPTIONS[name] for name in READERS if name != "view")
 
 

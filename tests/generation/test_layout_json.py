@@ -10,13 +10,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import cluttergen_jax as cg
-from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.pool import Pool, find_pool, write_pool
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.generation.layouts import read_layout_json
 from cluttergen_jax.generation.repair import hint_for_positions, read_layouts, reason_without_place
 from cluttergen_jax.geometry import rotation_matrix, yaw_quaternion
+from tests.helpers.worlds import box
 
 CASES = Path(__file__).parents[1] / "cases" / "repair"
 
@@ -75,6 +76,36 @@ def test_an_orientation_is_read_by_its_key(tmp_path, key, value, expected):
     np.testing.assert_allclose(rotation_matrix(pose[3:]), expected.as_matrix(), atol=1e-9)
 
 
+def turn_about(axis, angle):
+    """f64[3, 3], written by hand: about x, y or z."""
+    c, s = math.cos(angle), math.sin(angle)
+    i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
+    matrix = np.eye(3)
+    matrix[[i, i, j, j], [i, j, i, j]] = [c, -s, s, c]
+    return matrix
+
+
+@pytest.mark.parametrize("order", ["xyz", "zyx", "yzx", "zxz", "XYZ", "ZYX", "ZXZ"])
+@pytest.mark.parametrize("unit", ["deg", "rad", "degrees"])
+def test_angles_are_read_in_the_order_and_the_unit_that_are_stated(tmp_path, order, unit):
+    first, second, third = map(turn_about, order.lower(), ANGLES)
+    # Turns about axes that turn along are those about fixed axes the other way round.
+    expected = first @ second @ third if order.isupper() else third @ second @ first
+    given = ANGLES if unit == "rad" else np.degrees(ANGLES)
+    entry = {"euler": given.tolist(), "euler_unit": unit, "euler_order": order}
+    pose = pose_of(tmp_path, {"position": [0, 0, 1], **entry})
+    np.testing.assert_allclose(rotation_matrix(pose[3:]), expected, atol=1e-9)
+    if unit == "deg":
+        entry = {"euler_deg": given.tolist(), "euler_order": order}
+        again = pose_of(tmp_path, {"position": [0, 0, 1], **entry})
+        np.testing.assert_allclose(again, pose)
+
+
+def test_one_turn_needs_no_order(tmp_path):
+    pose = pose_of(tmp_path, {"position": [0, 0, 1], "euler": [0, 0, 90], "euler_unit": "deg"})
+    np.testing.assert_allclose(pose[3:], yaw_quaternion(math.pi / 2), atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("entry", "more", "said"),
     [
@@ -96,6 +127,13 @@ def test_an_orientation_is_read_by_its_key(tmp_path, key, value, expected):
         ({}, {"suport": "table"}, r"'suport' is not known. Did you mean 'support'"),
         ({}, {"gravity": [0, 0, -9.8]}, "'gravity' is not known"),
         ({"quaternion_wxyz": [0, 0, 0, 0]}, {}, "no direction"),
+        ({"euler": [0, 0, 90], "euler_order": "xyz"}, {}, "'euler' is not known"),
+        ({"euler": [0, 0, 90], "euler_unit": "turns"}, {}, "euler_unit = 'turns'.*deg"),
+        ({"euler": [10, 0, 90], "euler_unit": "deg"}, {}, "several turns without its order"),
+        ({"euler_deg": [10, 0, 90], "euler_order": "xxy"}, {}, "euler_order = 'xxy'"),
+        ({"euler_deg": [10, 0, 90], "euler_order": "xYz"}, {}, "euler_order = 'xYz'"),
+        ({"euler": [0, 0, 90], "euler_unit": "rad"}, {}, "more than a full turn"),
+        ({"euler_order": "xyz", "yaw_deg": 3}, {}, "euler_order without angles"),
         ({"quaternion_wxyz": ["1", 0, 0, 0]}, {}, "4 numbers"),
         ({"yaw_deg": [90]}, {}, r"yaw_deg = \[90\].*one number"),
         ({"rotation": [0, 0, 90]}, {}, "Did you mean 'rpy_deg'"),
@@ -234,3 +272,44 @@ def test_an_object_that_is_not_in_the_pool_is_named_with_its_file_and_its_asset(
     assert [asset.name for asset in read_layouts(path, None, None, None).layouts[0].objects] == [
         "mug"
     ]
+
+
+def test_what_an_object_overlaps_is_told_with_its_depth(tmp_path):
+    """Two plates in each other and a mug in both, with no room to move."""
+    height = find_support("table").top
+    plates = [
+        {"name": name, "asset": "dinner_plate", "position": [0, 0, height + 0.011]}
+        for name in ("mine", "yours")
+    ]
+    entries = [*plates, {"name": "mug", "position": [0.02, 0, height + 0.048]}]
+    path = write(tmp_path / "a.json", *entries)
+    report = cg.repair(path, tmp_path / "b.json", max_shift=0.001)
+    (layout,) = report.layouts
+    assert not layout.is_stable
+    reasons = dict(zip(layout.layout.names, layout.reasons, strict=True))
+    told = " ".join(reasons.values())
+    depths = [float(found) for found in re.findall(r"by (\d+) mm", told)]
+    assert re.search(r"overlaps '(mine|yours|mug)' by \d+ mm", told), told
+    # None is deeper in another than it is tall.
+    assert 1 <= min(depths) <= max(depths) <= 100
+    # What found a place has no reason.
+    assert all(
+        not why for why, there in zip(layout.reasons, layout.is_placed, strict=True) if there
+    )
+
+
+def test_an_overlap_is_as_deep_as_two_boxes_are_in_each_other(tmp_path):
+    folder = write_pool(tmp_path / "boxes", Pool("boxes", (box("block", (0.05, 0.05, 0.05)),)))
+    height = find_support("table").top + 0.05
+    entries = [
+        {"name": name, "asset": "block", "position": [x, 0, height]}
+        for name, x in (("one", 0.0), ("two", 0.069), ("far", -0.2))
+    ]
+    path = write(tmp_path / "a.json", *entries, pool=str(folder))
+    (layout,) = cg.repair(path, tmp_path / "b.json", max_shift=0.001).layouts
+    told = dict(zip(layout.layout.names, layout.reasons, strict=True))
+    assert told["far"] == ""
+    assert sorted(filter(None, told.values())) in (
+        ["overlaps 'one' by 31 mm: too little room within 0.001 m, or it does not stay there"],
+        ["overlaps 'two' by 31 mm: too little room within 0.001 m, or it does not stay there"],
+    )

@@ -242,6 +242,7 @@ def _recipe_section(recipe: Recipe, bits: list[Bits]) -> str:
         else recipe.get("method"),
         "checkpoint": recipe.get("checkpoint_hash") or "none",
         "seed": recipe.get("seed"),
+        **_asked(recipe),
         "engine": recipe.get("engine"),
         "queried region": recipe.get("region"),
         "containment": placement.get("containment"),
@@ -266,6 +267,16 @@ def _recipe_section(recipe: Recipe, bits: list[Bits]) -> str:
     return "\n".join(
         ["## How it was made", "", *(f"- {name}: {value}" for name, value in rows.items())]
     )
+
+
+def _asked(recipe: Recipe) -> dict[str, str]:
+    """The sentence that its layout is from, and who wrote it; nothing where there is none."""
+    asked = recipe.get("asked")
+    if not isinstance(asked, dict):
+        return {}
+    tries = asked.get("tries")
+    answers = "1 answer" if tries == 1 else f"{tries} answers"
+    return {"layout asked for": f"{asked.get('request')!r}, of {asked.get('model')}, {answers}"}
 
 
 def _stability(bank: Bank) -> str:

@@ -33,7 +33,8 @@ class Recipe(TypedDict, total=False):
     """What decides the scenes of a bank (`generation.recipe.recipe_of`); old and made-up ones lack some.
 
     `placement`, `stability` and `contact` are the fields of the configs of these names; `region` and
-    `keep_out` those of a `Rectangle`. `method_digest` is there where the method was a user's own.
+    `keep_out` those of a `Rectangle`. `method_digest` is there where the method was a user's own, and `asked`
+    where a language model wrote its layout: request, model and tries.
     """
 
     pool: str
@@ -58,6 +59,7 @@ class Recipe(TypedDict, total=False):
     block_size: int
     names: list[str]
     versions: dict[str, str]
+    asked: Mapping[str, Any]
 
 
 class AssetDigests(TypedDict):
