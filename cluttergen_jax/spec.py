@@ -52,7 +52,12 @@ from cluttergen_jax.placement.methods.table import (
     find_method,
     takers,
 )
-from cluttergen_jax.placement.relations import conditions_of, parse_relations, parse_roles
+from cluttergen_jax.placement.relations import (
+    conditions_of,
+    is_any_inside,
+    parse_relations,
+    parse_roles,
+)
 
 # What reads assets is imported where it is needed: this module is all that a command's `--help` loads.
 if TYPE_CHECKING:
@@ -505,7 +510,7 @@ class SceneSpec(PlacementRequest):
                 region = parse_region(region, support.region)
         limits = StabilityConfig() if self.stability is None else stability_of(self.stability)
         stability = replace(limits, robust_tilt=ROBUST_TILT if self.robust else 0.0)
-        stability = _for_poses(stability, self.poses)
+        stability = _for_rules(stability, self.poses, self.relations)
         decided = self._decided_rules(method)
         if entry.limits_stack:
             clutter = None if self.clutter is None else Clutter.of(self.clutter)
@@ -617,14 +622,25 @@ def _recorded_stability(record: Mapping[str, Any], rules: Mapping[str, Any]) -> 
     usual = StabilityConfig()
     known = {each.name for each in dataclasses.fields(usual)}
     found = StabilityConfig(**{name: value for name, value in record.items() if name in known})
-    if found == _for_poses(replace(found, settle_steps=usual.settle_steps), rules.get("poses")):
+    waited = _for_rules(
+        replace(found, settle_steps=usual.settle_steps),
+        rules.get("poses"),
+        rules.get("relations", ()),
+    )
+    if found == waited:
         found = replace(found, settle_steps=usual.settle_steps)
     return stability_text(found) or None
 
 
-def _for_poses(stability: StabilityConfig, poses: str | None) -> StabilityConfig:
-    """What is let go in any orientation falls over, and rolls, before it comes to rest."""
-    if poses != "any" or stability.settle_steps != StabilityConfig.settle_steps:
+def _for_rules(
+    stability: StabilityConfig, poses: str | None, relations: Sequence[str]
+) -> StabilityConfig:
+    """What is let go in any orientation, or into a hollow, falls over, and rolls, before it comes to rest."""
+    is_inside = is_any_inside(parse_relations(relations))
+    if is_inside:
+        stability = replace(stability, side_support=True)
+    has_time = stability.settle_steps != StabilityConfig.settle_steps
+    if has_time or not (poses == "any" or is_inside):
         return stability
     return replace(stability, settle_steps=stability.max_steps - stability.quiet_steps)
 

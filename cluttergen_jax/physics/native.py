@@ -96,7 +96,7 @@ class NativePhysics(HostPhysics):
         self.max_simulations = max_simulations
         self._model = sleeping_model(layout.model)
         self._cache: OrderedDict[int, Simulations] = OrderedDict()
-        self.probe = OverlapProbe(layout)
+        self.probe = OverlapProbe(layout, config.side_support)
         self._walled: Simulations | None = None
         self._lock = threading.Lock()
 

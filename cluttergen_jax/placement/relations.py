@@ -106,6 +106,11 @@ def parse_relations(texts: Sequence[str]) -> tuple[Relation, ...]:
     return found
 
 
+def is_any_inside(relations: Sequence[Relation]) -> bool:
+    """Whether any object is to be in another: it leans on walls, and takes longer to come to rest."""
+    return any(each.kind == "in" for each in relations)
+
+
 def order_of(relations: Sequence[Relation]) -> tuple[str, ...]:
     """All roles, each after those to which it is placed.
 
