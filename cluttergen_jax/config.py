@@ -327,7 +327,7 @@ _DECIDED = (
     "side_support",
     "robust_tilt",
 )
-"""Fields of a `StabilityConfig` that are no limits: engine, contacts, `setting`, relations and `robust` decide them."""
+"""Fields of a `StabilityConfig` that are no limits: engine, contacts, `setting` and other rules decide them."""
 _STAYS_PUT = {
     "shift": ("max_shift", "stand_shift", "stand_full_shift"),
     "turn": ("max_turn", "stand_turn", "stand_full_turn"),

@@ -22,7 +22,7 @@ MIN_LIFT = math.sin(math.radians(10))
 """Vertical part of a contact's unit normal from which it carries: what merely touches a side does not."""
 
 HOLD_FRICTION = 0.35
-"""Of what a body stands on, while its side is held: 0.7 times the usual friction of 0.5, as `robust` asks for."""
+"""Of what a body stands on, while its side is held: 0.7 times the usual 0.5, as `robust` asks for."""
 
 _FAN = 2 * np.pi * np.arange(36) / 36
 _DIRECTIONS = np.stack([np.cos(_FAN), np.sin(_FAN)], axis=1)

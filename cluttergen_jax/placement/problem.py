@@ -25,12 +25,12 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import NumberedEngines, Physics
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.containers import BELOW_RIM, INNER, draw_contents
+from cluttergen_jax.placement.containers import BELOW_RIM, INNER, MOST_WIDE, draw_contents
 from cluttergen_jax.placement.heightmap import HeightMap, make_support_map
 from cluttergen_jax.placement.methods.baselines import costs_of_staying
 from cluttergen_jax.placement.orientations import MAX_RESTING, make_orientations
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
-from cluttergen_jax.placement.related import IN, relate_objects
+from cluttergen_jax.placement.related import IN, RelatedObjects, relate_objects
 from cluttergen_jax.placement.room import check_crowding, check_number, check_room, check_surface
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.search import (
@@ -204,8 +204,12 @@ def compose(
     orientations = _orientations_of(world, config, cut)
     geometry = geometry_of(world, orientations)
     asked = None if clutter is None else clutter.contained
-    if asked is not None or (related is not None and bool(jnp.any(related.kind == IN))):
+    is_inside = related is not None and bool(jnp.any(related.kind == IN))
+    if asked is not None or is_inside:
         geometry = geometry.replace(hollows=find_hollows(world.objects, geometry))
+    if related is not None and is_inside:
+        geometry, related = _with_ways_in(world, config, cut, geometry, related, sizes is not None)
+        orientations = geometry.orientations
     if asked:
         if sizes is None:
             check_contained(asked, wanted, world.names, geometry)
@@ -239,19 +243,51 @@ def compose(
     return Problem(config, world, rules, region)
 
 
+def _with_ways_in(
+    world: World,
+    config: ProblemConfig,
+    cut: Callable[[ObjectAsset], HeightProfile],
+    geometry: Geometry,
+    related: RelatedObjects,
+    is_shared: bool,
+) -> tuple[Geometry, RelatedObjects]:
+    """A world in which objects are to be in others, with the orientations in which they go into them.
+
+    Args:
+      is_shared: worlds of the same sizes share what is compiled, whatever fits into what.
+    """
+    assert geometry.hollows is not None
+    pairs = related.pairs_of(IN)
+    is_lacking = pairs & ~np.asarray(geometry.hollows.fits)
+    if not (is_lacking.any() or is_shared):
+        return geometry, related
+    if config.placement.poses != "any":
+        turned = _orientations_of(world, config, cut, is_lacking.any(1))
+        hollows = geometry.hollows
+        geometry = geometry_of(world, turned).replace(hollows=hollows)
+    return geometry, related.replace(ways_in=find_ways_in(world.objects, geometry, pairs))
+
+
 def _orientations_of(
-    world: World, config: ProblemConfig, cut: Callable[[ObjectAsset], HeightProfile]
+    world: World,
+    config: ProblemConfig,
+    cut: Callable[[ObjectAsset], HeightProfile],
+    tilted: np.ndarray | None = None,
 ) -> Orientations | None:
-    """In which a world's objects are released; None where all are upright."""
+    """In which a world's objects are released; None where all are upright.
+
+    Args:
+      tilted: bool[K], see `make_orientations`.
+    """
     kind = config.placement.poses
-    if kind == "upright":
+    if kind == "upright" and tilted is None:
         return None
     layout = world.layout
     if world.support.named:
         # Resting poses are those on a level table with room above it.
         table = cuboid_table()
         layout = compile_layout(world.names, world.objects, table, config.stability, config.contact)
-    return make_orientations(world.objects, layout, config.stability, kind, cut)
+    return make_orientations(world.objects, layout, config.stability, kind, cut, tilted)
 
 
 def _on_surfaces(rules: Rules, region: Rectangle, support: SupportAsset, world: World) -> Rules:
@@ -360,17 +396,9 @@ def find_hollows(objects: Sequence[ObjectAsset], geometry: Geometry) -> Hollows:
     center, half = np.swapaxes([_hollow_box(asset) for asset in objects], 0, 1)
     is_container = np.array([hollow_of(asset) is not None for asset in objects])
     fits = np.zeros((len(objects), len(objects)), bool)
-    reach = max(float(np.linalg.norm(asset.half_extents[:2])) for asset in objects) + 3 * _CELL
-    steps = (np.arange(_PLACES) + 0.5) / _PLACES * 2 - 1
-    turns = np.pi * np.arange(_TURNS) / _TURNS
-    grid = np.stack(np.meshgrid(steps, steps, turns), -1).reshape(-1, 3)
     under, sizes, owner = _bodies_of(geometry)
     for index in np.flatnonzero(is_container).tolist():
-        xy = grid[:, :2] * half[index, :2] + center[index, :2]
-        at = Candidates(jnp.array(xy), jnp.array(grid[:, 2]))
-        rim = center[index, 2] + half[index, 2] + objects[index].half_extents[2]
-        opening = jnp.array([*np.sort(half[index, :2]), rim])
-        heights = _map_of(geometry, index, reach)
+        at, heights, opening = _over_hollow(objects, geometry, index)
         found = np.asarray(_fit_into(heights, at, (under, sizes), opening))
         np.logical_or.at(fits[:, index], owner, found)
         fits[index, index] = False
@@ -380,6 +408,37 @@ def find_hollows(objects: Sequence[ObjectAsset], geometry: Geometry) -> Hollows:
         fits[~is_leaf] = False
     hollows = Hollows(center.astype(np.float32), half.astype(np.float32), is_container, fits)
     return jax.tree.map(jnp.asarray, hollows)
+
+
+def find_ways_in(
+    objects: Sequence[ObjectAsset], geometry: Geometry, pairs: np.ndarray
+) -> Array:
+    """f32[K, K, P]: log weights of the orientations in which objects go into containers; outside `jit`.
+
+    The weight is how much of the hollow's depth an object reaches when it is lowered, at the best of some
+    places; upright alone where it fits so, and its usual weights where it goes in in none.
+
+    Args:
+      pairs: bool[K, K], row: an object, column: the container; of others the weights are the usual ones.
+    """
+    found = geometry.orientations
+    hollows = geometry.hollows
+    assert found is not None
+    assert hollows is not None
+    log_weight = np.repeat(np.asarray(found.log_weight)[:, None], len(objects), axis=1)
+    fits = np.asarray(hollows.fits)
+    log_weight[pairs & fits] = np.where(np.arange(log_weight.shape[2]) == 0, 0.0, -np.inf)
+    for container in np.flatnonzero((pairs & ~fits).any(0)).tolist():
+        at, heights, opening = _over_hollow(objects, geometry, container)
+        for index in np.flatnonzero(pairs[:, container] & ~fits[:, container]).tolist():
+            which = np.flatnonzero(np.asarray(found.is_one)[index])
+            bodies = take((under_side(found), found.half_extents), (index, which))
+            depth = np.asarray(_depths_in(heights, at, bodies, opening))
+            if depth.any():
+                log_weight[index, container] = -np.inf
+                with np.errstate(divide="ignore"):
+                    log_weight[index, container, which] = 2 * np.log(depth)
+    return jnp.asarray(log_weight)
 
 
 def check_contained(
@@ -432,6 +491,22 @@ def _hollow_box(asset: ObjectAsset) -> tuple[np.ndarray, np.ndarray]:
     return (low + high) / 2, (high - low) / 2
 
 
+def _over_hollow(
+    objects: Sequence[ObjectAsset], geometry: Geometry, index: int
+) -> tuple[Candidates, HeightMap, Array]:
+    """Places over an object's hollow, its heights, and f32[4], metres: half of the opening's sides, the
+    smaller one first, and the heights of its rim and of its floor."""
+    center, half = _hollow_box(objects[index])
+    reach = max(float(np.linalg.norm(asset.half_extents[:2])) for asset in objects) + 3 * _CELL
+    steps = (np.arange(_PLACES) + 0.5) / _PLACES * 2 - 1
+    turns = np.pi * np.arange(_TURNS) / _TURNS
+    grid = np.stack(np.meshgrid(steps, steps, turns), -1).reshape(-1, 3)
+    at = Candidates(jnp.array(grid[:, :2] * half[:2] + center[:2]), jnp.array(grid[:, 2]))
+    middle = center[2] + objects[index].half_extents[2]
+    opening = jnp.array([*np.sort(half[:2]), middle + half[2], middle - half[2]])
+    return at, _map_of(geometry, index, reach), opening
+
+
 def _map_of(geometry: Geometry, index: int, reach: float) -> HeightMap:
     """The heights of one object above the floor on which it stands, in its own frame."""
     is_own = np.asarray(geometry.surface_owner) == index
@@ -461,7 +536,7 @@ def _fit_into(
     """bool[M]: which bodies come to lie in a container.
 
     Args:
-      opening: f32[3], metres: half of its sides, the smaller one first, and the height of its rim.
+      opening: f32[4], see `_over_hollow`.
     """
 
     def fits(body: tuple[UnderSide, Array]) -> Array:
@@ -477,3 +552,25 @@ def _fit_into(
         return is_narrow & jnp.any((low < opening[2] - BELOW_RIM) & (trust > _LEAST_TRUST))
 
     return jax.lax.map(fits, bodies)
+
+
+@jax.jit
+def _depths_in(
+    heights: HeightMap, candidates: Candidates, bodies: tuple[UnderSide, Array], opening: Array
+) -> Array:
+    """f32[M]: how deep bodies reach into a container, of its depth; 0 for those that are not in it.
+
+    Args:
+      opening: f32[4], see `_over_hollow`.
+    """
+    rim = opening[2]
+
+    def depth_of(body: tuple[UnderSide, Array]) -> Array:
+        under, half = body
+        low = lower_onto(under, heights, candidates).rest + under.lowest
+        is_narrow = jnp.all(jnp.sort(half[:2]) <= MOST_WIDE * opening[:2])
+        is_in = is_narrow & (low < rim - BELOW_RIM)
+        share = jnp.clip((rim - low) / (rim - opening[3]), 0.0, 1.0)
+        return jnp.max(jnp.where(is_in, share, 0.0))
+
+    return jax.lax.map(depth_of, bodies)

@@ -58,6 +58,8 @@ class RelatedObjects(struct.PyTreeNode):
       possible: i32[Q], objects that take all roles together, for draws that end in a dead end.
       subject, reference: i32[R], roles; the reference is Q for the table.
       kind: i32[R], of `relations.KINDS`; gap: f32[R], metres.
+      ways_in: f32[K, K, P], log weights of the orientations in which an object, row, is released over a
+        container, column, in which it is to be; None where it is released as anywhere.
     """
 
     candidates: Array
@@ -67,6 +69,7 @@ class RelatedObjects(struct.PyTreeNode):
     reference: Array
     kind: Array
     gap: Array
+    ways_in: Array | None = None
 
     @staticmethod
     def of(
@@ -142,6 +145,26 @@ class RelatedObjects(struct.PyTreeNode):
         full = jnp.append(objects, 0)
         is_table = self.reference == self.num_roles
         return full[self.subject], full[self.reference], is_table
+
+    def pairs_of(self, kind: int) -> np.ndarray:
+        """bool[K, K]: objects, rows, that may be the subject of a relation of a kind, and its references."""
+        candidates = np.asarray(self.candidates)
+        found = np.zeros((candidates.shape[1],) * 2, bool)
+        for each in np.flatnonzero(np.asarray(self.kind) == kind).tolist():
+            subject = candidates[int(self.subject[each])]
+            found |= subject[:, None] & candidates[int(self.reference[each])]
+        np.fill_diagonal(found, False)
+        return found
+
+    def draw_way_in(self, key: Array, objects: Array, focus: Array, usual: Array) -> Array:
+        """i32: an orientation of the focus object, drawn for what it is to be in, else `usual`, i32."""
+        if self.ways_in is None:
+            return usual
+        is_subject, _, other, _ = self.pairs(objects, focus)
+        goes_in = is_subject & (self.kind == IN)
+        container = other[jnp.argmax(goes_in)]
+        drawn = jax.random.categorical(key, self.ways_in[focus, container]).astype(jnp.int32)
+        return jnp.where(jnp.any(goes_in), drawn, usual)
 
     def pairs(self, objects: Array, focus: Array) -> tuple[Array, Array, Array, Array]:
         """What the relations say of one object.

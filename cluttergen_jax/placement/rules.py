@@ -415,7 +415,10 @@ class Rules(struct.PyTreeNode, eq=False):
         """The episode with an orientation drawn for its current object, where not all are upright."""
         if self.geometry.orientations is None:
             return episode
-        drawn = self.geometry.orientations.draw(key, self.focus(episode))
+        focus = self.focus(episode)
+        drawn = self.geometry.orientations.draw(key, focus)
+        if self.related is not None and episode.roles is not None:
+            drawn = self.related.draw_way_in(key, episode.roles, focus, drawn)
         return episode.replace(orientation=drawn)
 
     def _with_surface(self, episode: Episode, key: Array) -> Episode:
