@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -23,17 +24,20 @@ from cluttergen_jax.assets.support_map import VOID, check_keep_out, check_region
 from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics import make_physics
-from cluttergen_jax.physics.host import NumberedEngines, Physics
+from cluttergen_jax.geometry import product, yaw_quaternion
+from cluttergen_jax.physics.host import BatchEngine, NumberedEngines, Physics
+from cluttergen_jax.placement.boxes import Boxes
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.containers import BELOW_RIM, INNER, MOST_WIDE, draw_contents
+from cluttergen_jax.placement.containers import BELOW_RIM, INNER, MOST_WIDE, draw_contents, is_in
 from cluttergen_jax.placement.heightmap import HeightMap, make_support_map
 from cluttergen_jax.placement.methods.baselines import costs_of_staying
 from cluttergen_jax.placement.orientations import MAX_RESTING, make_orientations
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
 from cluttergen_jax.placement.related import IN, RelatedObjects, relate_objects
 from cluttergen_jax.placement.room import check_crowding, check_number, check_room, check_surface
-from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.rules import OWN_SHARE, Rules
 from cluttergen_jax.placement.search import (
+    CLEARANCE,
     Candidates,
     CandidateScores,
     UnderSide,
@@ -54,7 +58,7 @@ from cluttergen_jax.placement.world import (
     pad_geometry,
     repeat_objects,
 )
-from cluttergen_jax.types import Array
+from cluttergen_jax.types import Array, Verdict
 
 SMALLEST_REGION = 0.02
 
@@ -65,6 +69,17 @@ _TURNS = 4
 
 _TRIED = 16
 """Draws of objects that fit into others, to know how many there can be."""
+_MOST_TRIED = 24
+"""Pairs of an object and a container of which ways in are tried, each for about a second."""
+_RELEASES = 8
+"""Of an object over a container, in each orientation; in a spiral around its middle."""
+_GOLDEN = 0.618
+# Of half the opening, the least and the most that a release is from its middle.
+_NEAREST = 0.03
+_FARTHEST = 0.15
+_WELL_IN = 0.5
+"""What upright stays inside in so many of its releases is mostly released so, with the odds below."""
+_UPRIGHT_ODDS = 3.0
 _LEAST_TRUST = 0.6
 """In what is lowered into a hollow, as `spread` has it, of the best place that was tried."""
 
@@ -265,7 +280,8 @@ def _with_ways_in(
         turned = _orientations_of(world, config, cut, is_lacking.any(1))
         hollows = geometry.hollows
         geometry = geometry_of(world, turned).replace(hollows=hollows)
-    return geometry, related.replace(ways_in=find_ways_in(world.objects, geometry, pairs))
+    ways_in, goes_in = find_ways_in(world, config, geometry, pairs)
+    return geometry, related.replace(ways_in=ways_in, goes_in=goes_in)
 
 
 def _orientations_of(
@@ -411,34 +427,109 @@ def find_hollows(objects: Sequence[ObjectAsset], geometry: Geometry) -> Hollows:
 
 
 def find_ways_in(
-    objects: Sequence[ObjectAsset], geometry: Geometry, pairs: np.ndarray
-) -> Array:
-    """f32[K, K, P]: log weights of the orientations in which objects go into containers; outside `jit`.
+    world: World, config: ProblemConfig, geometry: Geometry, pairs: np.ndarray
+) -> tuple[Array, Array]:
+    """In which orientations objects go into containers; outside `jit`.
 
-    The weight is how much of the hollow's depth an object reaches when it is lowered, at the best of some
-    places; upright alone where it fits so, and its usual weights where it goes in in none.
+    Each is let go alone, over the container and by the rules of attempts, in some turns and places around
+    the middle. The weight of an orientation is the square of the share that come to rest inside and held.
+    Upright alone where the object fits so, in three of four draws where most of its releases do.
 
     Args:
       pairs: bool[K, K], row: an object, column: the container; of others the weights are the usual ones.
+
+    Returns:
+      f32[K, K, P], log weights; bool[K, K], False for the pairs of which nothing was found that goes in. Those
+      have weights by the depth that they reach, and the usual ones where they reach none.
     """
     found = geometry.orientations
     hollows = geometry.hollows
     assert found is not None
     assert hollows is not None
-    log_weight = np.repeat(np.asarray(found.log_weight)[:, None], len(objects), axis=1)
+    log_weight = np.repeat(np.asarray(found.log_weight)[:, None], len(pairs), axis=1)
     fits = np.asarray(hollows.fits)
     log_weight[pairs & fits] = np.where(np.arange(log_weight.shape[2]) == 0, 0.0, -np.inf)
-    for container in np.flatnonzero((pairs & ~fits).any(0)).tolist():
-        at, heights, opening = _over_hollow(objects, geometry, container)
-        for index in np.flatnonzero(pairs[:, container] & ~fits[:, container]).tolist():
-            which = np.flatnonzero(np.asarray(found.is_one)[index])
-            bodies = take((under_side(found), found.half_extents), (index, which))
-            depth = np.asarray(_depths_in(heights, at, bodies, opening))
-            if depth.any():
-                log_weight[index, container] = -np.inf
-                with np.errstate(divide="ignore"):
-                    log_weight[index, container, which] = 2 * np.log(depth)
-    return jnp.asarray(log_weight)
+    goes_in = np.ones(pairs.shape, bool)
+    lacking = np.argwhere(pairs & ~fits).tolist()
+    trials = _WayTrials(world, config, geometry) if len(lacking) <= _MOST_TRIED else None
+    for index, container in lacking:
+        which = np.flatnonzero(np.asarray(found.is_one)[index])
+        at, heights, opening = _over_hollow(world.objects, geometry, container)
+        bodies = take((under_side(found), found.half_extents), (index, which))
+        share = np.zeros(len(which))
+        if trials is not None:
+            share = trials.shares(index, container, which, heights)
+            goes_in[index, container] = share.any()
+        if not share.any():
+            share = np.array(_depths_in(heights, at, bodies, opening), np.float64)
+        weight = share**2
+        if share[0] >= _WELL_IN:
+            weight[0] = _UPRIGHT_ODDS * max(weight[1:].sum(), 1.0)
+        if weight.any():
+            log_weight[index, container] = -np.inf
+            with np.errstate(divide="ignore"):
+                log_weight[index, container, which] = np.log(weight)
+    if trials is not None:
+        trials.engine.free()
+    return jnp.asarray(log_weight), jnp.asarray(goes_in)
+
+
+class _WayTrials:
+    """Releases single objects over single containers, which stand on a table.
+
+    Attributes:
+      engine: of that world.
+    """
+
+    def __init__(self, world: World, config: ProblemConfig, geometry: Geometry) -> None:
+        table = cuboid_table()
+        layout = compile_layout(world.names, world.objects, table, config.stability, config.contact)
+        stability = replace(config.stability, robust_tilt=0.0)
+        self.engine = cast(BatchEngine, make_physics(layout, stability, "native"))
+        self._top = layout.top
+        self._geometry = geometry
+        self._least = config.placement.min_margin
+
+    def shares(
+        self, index: int, container: int, which: np.ndarray, heights: HeightMap
+    ) -> np.ndarray:
+        """f64[n]: of releases in orientations `which`, i[n], those that come to rest inside and held."""
+        geometry = self._geometry
+        hollows = geometry.hollows
+        orientations = geometry.orientations
+        assert hollows is not None
+        assert orientations is not None
+        turn = 2 * np.pi * _GOLDEN * np.arange(_RELEASES)
+        reach = np.linspace(_NEAREST, _FARTHEST, _RELEASES)[:, None]
+        middle = np.asarray(hollows.center)[container]
+        half = np.asarray(hollows.half_extents)[container, :2]
+        xy = middle[:2] + reach * half * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+        at = Candidates(jnp.asarray(xy, jnp.float32), jnp.asarray(turn, jnp.float32))
+        rest = jax.vmap(lambda under: lower_onto(under, heights, at).rest)(
+            take(under_side(orientations), (index, which))
+        )
+        number = len(which) * _RELEASES
+        poses = np.tile(np.eye(7, dtype=np.float32)[3], (number, geometry.num_objects, 1))
+        poses[:, container, 2] = self._top + geometry.half_extents[container, 2]
+        poses[:, index, :2] = np.tile(xy, (len(which), 1))
+        poses[:, index, 2] = self._top + np.asarray(rest).ravel() + CLEARANCE
+        quaternion = np.asarray(orientations.quaternion)[index, which]
+        for row in range(number):
+            yaw = np.array(yaw_quaternion(turn[row % _RELEASES]))
+            poses[row, index, 3:] = product(yaw, quaternion[row // _RELEASES])
+        is_placed = np.isin(np.arange(geometry.num_objects), [index, container])
+        settling = self.engine.settle_batch(
+            poses, np.tile(is_placed, (number, 1)), np.full(number, index), np.ones(number, bool)
+        )
+        ended = jnp.asarray(settling.poses)
+        subjects = Boxes.of(geometry.half_extents[index], ended[:, index])
+        boxes = jax.vmap(hollows.boxes)(ended)
+        openings = Boxes(boxes.center[:, container], boxes.sides[:, container])
+        own = np.asarray(jax.vmap(geometry.own_margins_at)(ended))[:, index]
+        is_held = settling.margin[:, index] >= np.minimum(self._least, OWN_SHARE * own)
+        is_well = np.asarray(is_in(subjects, openings)) & is_held
+        is_well &= settling.verdict == int(Verdict.STABLE)
+        return np.asarray(is_well.reshape(-1, _RELEASES).mean(1), np.float64)
 
 
 def check_contained(

@@ -59,7 +59,9 @@ class RelatedObjects(struct.PyTreeNode):
       subject, reference: i32[R], roles; the reference is Q for the table.
       kind: i32[R], of `relations.KINDS`; gap: f32[R], metres.
       ways_in: f32[K, K, P], log weights of the orientations in which an object, row, is released over a
-        container, column, in which it is to be; None where it is released as anywhere.
+        container, column, in which it is to be; None where it is released as anywhere. This and the next are
+        those of `placement.problem.find_ways_in`.
+      goes_in: bool[K, K], False where no such orientation was found.
     """
 
     candidates: Array
@@ -70,6 +72,7 @@ class RelatedObjects(struct.PyTreeNode):
     kind: Array
     gap: Array
     ways_in: Array | None = None
+    goes_in: Array | None = None
 
     @staticmethod
     def of(

@@ -49,7 +49,7 @@ from cluttergen_jax.placement.types import (
 )
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
 
-_OWN_SHARE = 1 / 3
+OWN_SHARE = 1 / 3
 """Of what a narrow object has on a flat table: so much support margin is asked of it at most. Of a round face
 engines name four points or so, which can leave less than half of it."""
 _SHARE = (0.5, 3.5)
@@ -589,7 +589,7 @@ class Rules(struct.PyTreeNode, eq=False):
     def is_supported(self, episode: Episode, focus: Array, settling: Settling) -> Array:
         """Whether all that this episode placed, the focus object included, has the margin asked for; bool."""
         own = self.geometry.own_margins_at(settling.poses)
-        asked = jnp.minimum(self.config.min_margin, _OWN_SHARE * own)
+        asked = jnp.minimum(self.config.min_margin, OWN_SHARE * own)
         return ~jnp.any(self._is_ours(episode, focus) & (settling.margin < asked))
 
     def _push(
