@@ -218,6 +218,8 @@ class StabilityConfig:
       both_detectors: what the last check and the slight disturbance ask is asked with each of MuJoCo's two
         detectors of convex collisions (`DETECTORS`), not with its own choice alone; native engine only.
       side_support: support margins count what holds an object from its sides (`physics.margin.held_margin`).
+      lower_releases: what is let go is lowered first, to just above what it touches there: over a hollow the
+        height maps of searches are too high; native engine only.
       robust_tilt: radians; above 0, what came to rest must also stand while gravity, tilted by so much, turns
         once around (`native.disturb`) and contacts are as soft as MuJoCo's default; 0 asks for nothing.
         The others count only then:
@@ -249,6 +251,7 @@ class StabilityConfig:
     stand_full_turn: float = math.radians(5)
     both_detectors: bool = False
     side_support: bool = False
+    lower_releases: bool = False
     robust_tilt: float = 0.0
     robust_friction: float = 0.7
     robust_steps: int = 120
@@ -262,6 +265,7 @@ class StabilityConfig:
             "judge_neighbours",
             "both_detectors",
             "side_support",
+            "lower_releases",
             "robust_tilt",
         )
         check_positive(self, *(f.name for f in fields(self) if f.name not in others))
@@ -311,7 +315,7 @@ class StabilityConfig:
 def stability_record(config: StabilityConfig) -> Record:
     """The config as records keep it: without what older versions did not know, where that is off."""
     record = asdict(config)
-    for name in ("both_detectors", "side_support"):
+    for name in ("both_detectors", "side_support", "lower_releases"):
         if not record[name]:
             del record[name]
     if config.robust_tilt:
@@ -325,6 +329,7 @@ _DECIDED = (
     "judge_neighbours",
     "both_detectors",
     "side_support",
+    "lower_releases",
     "robust_tilt",
 )
 """Fields of a `StabilityConfig` that are no limits: engine, contacts, `setting` and other rules decide them."""

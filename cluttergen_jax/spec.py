@@ -113,6 +113,7 @@ class SceneOptions(TypedDict, total=False):
     height: Height
     poses: Poses
     relations: Sequence[str]
+    relations_prefer: bool
     roles: str | Mapping[str, str]
     clearance: float | None
     method: Method | OwnProposer | str | None
@@ -188,6 +189,8 @@ class SceneSpec(PlacementRequest):
         "fork left_of plate", "cup next_to bottle:0.05", "knife aligned fork". There are on, under, in,
         next_to, far_from, left_of, right_of, in_front_of, behind (with metres of gap if wanted) and aligned.
         A name is an object's, a role's or "any"; the same name is the same object.
+      relations_prefer: draw places where relations hold as people choose them: near the middle of a side, close
+        by, turned along what they are beside, over the middle of what they are on or in; else evenly.
       roles: names in relations and the condition of the objects that each may stand for, as those of
         `objects`: "plate_1=plate*; plate_2=plate*". In Python also a mapping.
       clearance: metres between the boxes of objects, and to the region's sides, that "packed" leaves; 0.003
@@ -306,6 +309,7 @@ class SceneSpec(PlacementRequest):
         asked |= {name: rules[name] for name in _ALWAYS_RULED}
         asked |= {"ruin_after": 0, "min_margin": 0.0}
         asked |= {name: recipe[name] for name in _LATER if name in recipe}
+        asked |= {"relations_prefer": not rules.get("relations")}
         asked |= {name: rules[name] for name in RULES if name in rules}
         stability = recipe["stability"]
         is_native = recipe["engine"] == "native"
@@ -596,6 +600,7 @@ class SceneSpec(PlacementRequest):
         rules |= decided or {}
         rules["num_objects"] = num_objects
         rules["roles"] = parse_roles(str(self.roles))
+        rules["relations_prefer"] = self.relations_prefer and bool(self.relations)
         # With a hundred objects one in four scenes would be lost to a single one that creeps.
         rules["retry_last"] = bool(rules.get("ruin_after")) and num_objects > CROWD
         return PlacementConfig(**rules)
@@ -638,7 +643,7 @@ def _for_rules(
     """What is let go in any orientation, or into a hollow, falls over, and rolls, before it comes to rest."""
     is_inside = is_any_inside(parse_relations(relations))
     if is_inside:
-        stability = replace(stability, side_support=True)
+        stability = replace(stability, side_support=True, lower_releases=True)
     has_time = stability.settle_steps != StabilityConfig.settle_steps
     if has_time or not (poses == "any" or is_inside):
         return stability

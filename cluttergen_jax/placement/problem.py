@@ -222,7 +222,8 @@ def compose(
     is_inside = related is not None and bool(jnp.any(related.kind == IN))
     if asked is not None or is_inside:
         geometry = geometry.replace(hollows=find_hollows(world.objects, geometry))
-    if related is not None and is_inside:
+    # Scenes of old banks are made again as they were.
+    if related is not None and is_inside and config.stability.side_support:
         geometry, related = _with_ways_in(world, config, cut, geometry, related, sizes is not None)
         orientations = geometry.orientations
     if asked:
