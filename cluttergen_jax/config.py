@@ -332,7 +332,7 @@ _DECIDED = (
     "lower_releases",
     "robust_tilt",
 )
-"""Fields of a `StabilityConfig` that are no limits: engine, contacts, `setting` and other rules decide them."""
+"""Fields of a `StabilityConfig` that are no limits: engine, contacts, `setting` and rules decide them."""
 _STAYS_PUT = {
     "shift": ("max_shift", "stand_shift", "stand_full_shift"),
     "turn": ("max_turn", "stand_turn", "stand_full_turn"),

@@ -189,8 +189,8 @@ class SceneSpec(PlacementRequest):
         "fork left_of plate", "cup next_to bottle:0.05", "knife aligned fork". There are on, under, in,
         next_to, far_from, left_of, right_of, in_front_of, behind (with metres of gap if wanted) and aligned.
         A name is an object's, a role's or "any"; the same name is the same object.
-      relations_prefer: draw places where relations hold as people choose them: near the middle of a side, close
-        by, turned along what they are beside, over the middle of what they are on or in; else evenly.
+      relations_prefer: where relations hold, prefer what people choose: near the middle of a side, close by,
+        turned along what is beside, over the middle of what carries or holds; else all alike.
       roles: names in relations and the condition of the objects that each may stand for, as those of
         `objects`: "plate_1=plate*; plate_2=plate*". In Python also a mapping.
       clearance: metres between the boxes of objects, and to the region's sides, that "packed" leaves; 0.003

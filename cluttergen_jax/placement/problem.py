@@ -23,8 +23,8 @@ from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.assets.support_map import VOID, check_keep_out, check_region
 from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.physics import make_physics
 from cluttergen_jax.geometry import product, yaw_quaternion
+from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import BatchEngine, NumberedEngines, Physics
 from cluttergen_jax.placement.boxes import Boxes
 from cluttergen_jax.placement.config import PlacementConfig
@@ -440,7 +440,7 @@ def find_ways_in(
       pairs: bool[K, K], row: an object, column: the container; of others the weights are the usual ones.
 
     Returns:
-      f32[K, K, P], log weights; bool[K, K], False for the pairs of which nothing was found that goes in. Those
+      f32[K, K, P], log weights; bool[K, K], False for the pairs of which nothing was found that goes in. They
       have weights by the depth that they reach, and the usual ones where they reach none.
     """
     found = geometry.orientations
