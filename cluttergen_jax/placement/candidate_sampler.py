@@ -29,6 +29,7 @@ from cluttergen_jax.placement.related import (
     IN,
     ON,
     TURN_SPREAD,
+    USUAL_GAP,
     RelatedObjects,
     allowed_at,
     carriers_of,
@@ -62,7 +63,7 @@ _RELATED = 192
 _USUAL = 96
 """Candidates besides, near to where people put what is so related."""
 _NEARER = 3.0
-"""Power of their distance from touching, as a share of what is allowed."""
+"""Power of their distance from the usual one, as a share of what is allowed."""
 _NEARER_MIDDLE = 0.5
 """Of the reach of what is tried on or in a thing."""
 
@@ -409,6 +410,7 @@ def _around_related(
     share = jax.random.uniform(key_far, (number,))
     if is_usual:
         share = share**_NEARER
+        nearest += USUAL_GAP * jnp.nan_to_num(related.gap[which])
         unit *= _NEARER_MIDDLE
     far = nearest + (farthest - nearest) * share
     beside = far[:, None] * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1)
