@@ -23,7 +23,7 @@ from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.assets.support_map import VOID, check_keep_out, check_region
 from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.geometry import product, yaw_quaternion
+from cluttergen_jax.geometry import product, rotation_matrix, yaw_quaternion
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import BatchEngine, NumberedEngines, Physics
 from cluttergen_jax.placement.boxes import Boxes
@@ -461,7 +461,9 @@ def find_ways_in(
         if trials is not None:
             share = trials.shares(index, container, which, heights)
             goes_in[index, container] = share.any()
-        if not share.any():
+        if not share.any() and passes_through(
+            world.objects[index].half_extents, hollows, container
+        ):
             share = np.array(_depths_in(heights, at, bodies, opening), np.float64)
         weight = share**2
         if share[0] >= _WELL_IN:
@@ -473,6 +475,15 @@ def find_ways_in(
     if trials is not None:
         trials.engine.free()
     return jnp.asarray(log_weight), jnp.asarray(goes_in)
+
+
+def passes_through(half_extents: np.ndarray, hollows: Hollows, container: int) -> bool:
+    """Whether an object's two shorter sides, f[3] its half sides, fit through a container's opening.
+
+    What does not may still hang over its rim like a hood, or go in with a narrow end.
+    """
+    opening = np.sort(np.asarray(hollows.half_extents)[container, :2])
+    return bool(np.all(np.sort(half_extents)[:2] <= opening))
 
 
 class _WayTrials:
@@ -488,8 +499,26 @@ class _WayTrials:
         stability = replace(config.stability, robust_tilt=0.0)
         self.engine = cast(BatchEngine, make_physics(layout, stability, "native"))
         self._top = layout.top
+        self._objects = world.objects
         self._geometry = geometry
         self._least = config.placement.min_margin
+
+    def _is_inside(self, index: int, container: int, poses: np.ndarray) -> bool:
+        """Whether an object is in a container as people mean it, at world poses f[K, 7].
+
+        All of it that is below the rim is within the opening, so that it is no hood, and it reaches half way
+        down, or has half of its corners below the rim, so that it does not merely hook over that.
+        """
+        hollows = self._geometry.hollows
+        assert hollows is not None
+        turn = rotation_matrix(poses[index, 3:])
+        other = rotation_matrix(poses[container, 3:])
+        points = self._objects[index].vertices @ turn.T + poses[index, :3] - poses[container, :3]
+        offset = points @ other - np.asarray(hollows.center)[container]
+        half = np.asarray(hollows.half_extents)[container]
+        is_below = offset[:, 2] < half[2] - BELOW_RIM
+        is_within = np.all(np.abs(offset[is_below, :2]) <= half[:2] + _CELL)
+        return bool(is_within and (offset[:, 2].min() <= 0 or is_below.mean() >= _WELL_IN))
 
     def shares(
         self, index: int, container: int, which: np.ndarray, heights: HeightMap
@@ -530,6 +559,8 @@ class _WayTrials:
         is_held = settling.margin[:, index] >= np.minimum(self._least, OWN_SHARE * own)
         is_well = np.asarray(is_in(subjects, openings)) & is_held
         is_well &= settling.verdict == int(Verdict.STABLE)
+        for row in np.flatnonzero(is_well).tolist():
+            is_well[row] = self._is_inside(index, container, settling.poses[row])
         return np.asarray(is_well.reshape(-1, _RELEASES).mean(1), np.float64)
 
 
