@@ -600,7 +600,8 @@ class SceneSpec(PlacementRequest):
         rules |= decided or {}
         rules["num_objects"] = num_objects
         rules["roles"] = parse_roles(str(self.roles))
-        rules["relations_prefer"] = self.relations_prefer and bool(self.relations)
+        if not self.relations and isinstance(self.relations_prefer, bool):
+            rules["relations_prefer"] = False
         # With a hundred objects one in four scenes would be lost to a single one that creeps.
         rules["retry_last"] = bool(rules.get("ruin_after")) and num_objects > CROWD
         return PlacementConfig(**rules)
