@@ -218,6 +218,9 @@ class StabilityConfig:
       stand_full_shift, stand_full_turn: metres and radians allowed by the end of the second stage.
       both_detectors: what the last check and the slight disturbance ask is asked with each of MuJoCo's two
         detectors of convex collisions (`DETECTORS`), not with its own choice alone; native engine only.
+      side_support: support margins count what holds an object from its sides (`physics.margin.held_margin`).
+      lower_releases: what is let go is lowered first, to just above what it touches there: over a hollow the
+        height maps of searches are too high; native engine only.
       robust_tilt: radians; above 0, what came to rest must also stand while gravity, tilted by so much, turns
         once around (`native.disturb`) and contacts are as soft as MuJoCo's default; 0 asks for nothing.
         The others count only then:
@@ -248,6 +251,8 @@ class StabilityConfig:
     stand_full_shift: float = 0.005
     stand_full_turn: float = math.radians(5)
     both_detectors: bool = False
+    side_support: bool = False
+    lower_releases: bool = False
     robust_tilt: float = 0.0
     robust_friction: float = 0.7
     robust_steps: int = 120
@@ -260,6 +265,8 @@ class StabilityConfig:
             "stop_when_decided",
             "judge_neighbours",
             "both_detectors",
+            "side_support",
+            "lower_releases",
             "robust_tilt",
         )
         check_positive(self, *(f.name for f in fields(self) if f.name not in others))
@@ -309,15 +316,24 @@ class StabilityConfig:
 def stability_record(config: StabilityConfig) -> Record:
     """The config as records keep it: without what older versions did not know, where that is off."""
     record = asdict(config)
-    if not config.both_detectors:
-        del record["both_detectors"]
+    for name in ("both_detectors", "side_support", "lower_releases"):
+        if not record[name]:
+            del record[name]
     if config.robust_tilt:
         return record
     return {name: value for name, value in record.items() if not name.startswith("robust_")}
 
 
-_DECIDED = ("timestep", "stop_when_decided", "judge_neighbours", "both_detectors", "robust_tilt")
-"""Fields of a `StabilityConfig` that are no limits: engine, contacts, `setting` and `robust` decide them."""
+_DECIDED = (
+    "timestep",
+    "stop_when_decided",
+    "judge_neighbours",
+    "both_detectors",
+    "side_support",
+    "lower_releases",
+    "robust_tilt",
+)
+"""Fields of a `StabilityConfig` that are no limits: engine, contacts, `setting` and rules decide them."""
 _STAYS_PUT = {
     "shift": ("max_shift", "stand_shift", "stand_full_shift"),
     "turn": ("max_turn", "stand_turn", "stand_full_turn"),

@@ -53,7 +53,12 @@ from cluttergen_jax.placement.methods.table import (
     find_method,
     takers,
 )
-from cluttergen_jax.placement.relations import conditions_of, parse_relations, parse_roles
+from cluttergen_jax.placement.relations import (
+    conditions_of,
+    is_any_inside,
+    parse_relations,
+    parse_roles,
+)
 
 # What reads assets is imported where it is needed: this module is all that a command's `--help` loads.
 if TYPE_CHECKING:
@@ -110,6 +115,7 @@ class SceneOptions(TypedDict, total=False):
     height: Height
     poses: Poses
     relations: Sequence[str]
+    relations_prefer: bool
     roles: str | Mapping[str, str]
     clearance: float | None
     crowd: float
@@ -189,6 +195,8 @@ class SceneSpec(PlacementRequest):
         "fork left_of plate", "cup next_to bottle:0.05", "knife aligned fork". There are on, under, in,
         next_to, far_from, left_of, right_of, in_front_of, behind (with metres of gap if wanted) and aligned.
         A name is an object's, a role's or "any"; the same name is the same object.
+      relations_prefer: where relations hold, prefer what people choose: near the middle of a side, close by,
+        turned along what is beside, over the middle of what carries or holds; else all alike.
       roles: names in relations and the condition of the objects that each may stand for, as those of
         `objects`: "plate_1=plate*; plate_2=plate*". In Python also a mapping.
       clearance: metres between the boxes of objects, and to the region's sides, that "packed" leaves; 0.003
@@ -314,6 +322,7 @@ class SceneSpec(PlacementRequest):
         asked |= {name: rules[name] for name in _ALWAYS_RULED}
         asked |= {"ruin_after": 0, "min_margin": 0.0}
         asked |= {name: recipe[name] for name in _LATER if name in recipe}
+        asked |= {"relations_prefer": not rules.get("relations")}
         asked |= {name: rules[name] for name in RULES if name in rules}
         stability = recipe["stability"]
         is_native = recipe["engine"] == "native"
@@ -546,7 +555,7 @@ class SceneSpec(PlacementRequest):
                 region = parse_region(region, support.region)
         limits = StabilityConfig() if self.stability is None else stability_of(self.stability)
         stability = replace(limits, robust_tilt=ROBUST_TILT if self.robust else 0.0)
-        stability = _for_poses(stability, self.poses)
+        stability = _for_rules(stability, self.poses, self.relations)
         decided = self._decided_rules(method)
         if entry.limits_stack:
             clutter = None if self.clutter is None else Clutter.of(self.clutter)
@@ -637,6 +646,8 @@ class SceneSpec(PlacementRequest):
         rules |= decided or {}
         rules["num_objects"] = num_objects
         rules["roles"] = parse_roles(str(self.roles))
+        if not self.relations and isinstance(self.relations_prefer, bool):
+            rules["relations_prefer"] = False
         # With a hundred objects one in four scenes would be lost to a single one that creeps.
         rules["retry_last"] = bool(rules.get("ruin_after")) and num_objects > MANY
         return PlacementConfig(**rules)
@@ -663,14 +674,25 @@ def _recorded_stability(record: Mapping[str, Any], rules: Mapping[str, Any]) -> 
     usual = StabilityConfig()
     known = {each.name for each in dataclasses.fields(usual)}
     found = StabilityConfig(**{name: value for name, value in record.items() if name in known})
-    if found == _for_poses(replace(found, settle_steps=usual.settle_steps), rules.get("poses")):
+    waited = _for_rules(
+        replace(found, settle_steps=usual.settle_steps),
+        rules.get("poses"),
+        rules.get("relations", ()),
+    )
+    if found == waited:
         found = replace(found, settle_steps=usual.settle_steps)
     return stability_text(found) or None
 
 
-def _for_poses(stability: StabilityConfig, poses: str | None) -> StabilityConfig:
-    """What is let go in any orientation falls over, and rolls, before it comes to rest."""
-    if poses != "any" or stability.settle_steps != StabilityConfig.settle_steps:
+def _for_rules(
+    stability: StabilityConfig, poses: str | None, relations: Sequence[str]
+) -> StabilityConfig:
+    """What is let go in any orientation, or into a hollow, falls over, and rolls, before it comes to rest."""
+    is_inside = is_any_inside(parse_relations(relations))
+    if is_inside:
+        stability = replace(stability, side_support=True, lower_releases=True)
+    has_time = stability.settle_steps != StabilityConfig.settle_steps
+    if has_time or not (poses == "any" or is_inside):
         return stability
     return replace(stability, settle_steps=stability.max_steps - stability.quiet_steps)
 

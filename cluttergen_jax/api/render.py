@@ -94,7 +94,8 @@ def render(
         corner is, as in OpenGL and in the renderer of bop_toolkit.
       size: of pictures, WIDTHxHEIGHT in pixels; 1280x960, and 640x480 for films and bop, if not given. In
         Python also a pair.
-      view: from which side the scene is seen; the defaults of `CameraView` if not given.
+      view: from which side the scene is seen; if not given, the defaults of `CameraView`, or of a bank with
+        relations of left, right, front and back the side that they are meant from.
       whole: show the whole support instead of the objects and the region alone.
       hulls: draw the collision parts instead of the surfaces.
       doors: "open" shows scenes that close doors with these open; what is in drawers is seen with them.
@@ -165,6 +166,7 @@ def render(
         BopConfig(views, seed, split, pixel_origin, plans or None),
         plans,
         doors,
+        has_view=view is not None,
     )
     with hold_folder(Path(out)):
         return rendering.make(str(source), numbers)

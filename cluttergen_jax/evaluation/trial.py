@@ -175,6 +175,8 @@ class Trial:
         given = {
             name: getattr(spec, name) for name in (*_PLACE, *_RULES) if name in spec.overrides()
         }
+        if spec.relations and spec.relations_prefer:
+            given["relations_prefer"] = True
         if spec.keep_out:
             given["keep_out"] = [_plain_box(box) for box in spec.keep_out]
         return usual | given
@@ -283,6 +285,8 @@ def trial_of(row: Mapping[str, Any]) -> Trial:
     )
     asked["max_attempts"] = asked.pop("attempts", SceneSpec.max_attempts)
     asked["setting"] = "default" if asked.pop("both_detectors", False) else "paper"
+    # Rows of relations of earlier versions preferred nothing.
+    asked.setdefault("relations_prefer", not asked.get("relations"))
     asked["clutter"] = asked.get("clutter") or None
     asked["stability"] = asked.get("stability") or None
     return Trial.of(**asked)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from itertools import takewhile
 from pathlib import Path
@@ -9,12 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from cluttergen_jax.assets import ObjectAsset
+from cluttergen_jax.assets.support import recorded_rectangle
 from cluttergen_jax.files import inside, write_atomically
 from cluttergen_jax.placement.problem import ProblemConfig
+from cluttergen_jax.placement.relations import SIDES, parse_relations
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.progress import track
 from cluttergen_jax.rendering import PictureConfig, contact_sheet, save_png
-from cluttergen_jax.rendering.config import QUALITIES
+from cluttergen_jax.rendering.config import QUALITIES, CameraView
 from cluttergen_jax.rendering.gl import renderer_status
 from cluttergen_jax.scene.bank import Bank, BankRow
 from cluttergen_jax.scene.export.mjcf import scene_xml
@@ -87,11 +90,26 @@ def _is_whole_png(path: Path) -> bool:
     return data.startswith(_PNG_BEGINS) and data.endswith(_PNG_ENDS)
 
 
+def view_of(bank: Bank) -> CameraView:
+    """From where scenes are drawn unasked: where relations have sides, from where left and right are meant.
+
+    That is from the region's -y side, looking along its +y.
+    """
+    recipe = bank.recipe
+    relations = parse_relations(recipe.get("placement", {}).get("relations", ()))
+    if not any(each.kind in SIDES for each in relations):
+        return CameraView()
+    return CameraView(azimuth=90.0 + math.degrees(recorded_rectangle(recipe["region"]).yaw))
+
+
 def _draw(bank: Bank, scenes: Sequence[BankRow], assets: dict) -> Path:
     images: list[np.ndarray] = []
     quality = QUALITIES["fine" if len(scenes) <= _MANY else "draft"]
     objects = [[assets[base_name(name)] for name in scene.objects] for scene in scenes]
-    with ViewMaker(PictureConfig(samples=quality.samples, smoothing=quality.smoothing)) as maker:
+    picture = PictureConfig(
+        samples=quality.samples, smoothing=quality.smoothing, view=view_of(bank)
+    )
+    with ViewMaker(picture) as maker:
         for place, scene in enumerate(track(scenes, "drawing", len(scenes), "picture")):
             path = scene_path(bank, scene.index, "png")
             if _is_whole_png(path) and len(images) >= min(_OVERVIEW, len(scenes)):

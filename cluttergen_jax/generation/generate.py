@@ -25,6 +25,7 @@ from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.files import writing
 from cluttergen_jax.generation.files import write_files
 from cluttergen_jax.generation.recipe import recipe_of
+from cluttergen_jax.generation.relation_advice import advice_on, relation_notes
 from cluttergen_jax.generation.sampler import set_up_bank
 from cluttergen_jax.learning.methods import DEFAULT_METHOD, Method, sampler_of
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
@@ -45,6 +46,7 @@ from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene.bank import Bank, BankWriter, read_bank
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.record import differences
+from cluttergen_jax.scene.bank.relation_tally import RelationFailures, RelationTally
 from cluttergen_jax.scene.bank.remote import publish_all, url_of
 from cluttergen_jax.scene.bank.stats import ClutterTally, Totals
 from cluttergen_jax.scene.bank.table import table_of
@@ -53,6 +55,8 @@ from cluttergen_jax.schema import Record
 from cluttergen_jax.spec import SceneSpec
 
 _FEW = 0.5
+_OFTEN = 0.1
+"""Share of the scenes that fail at a relation from which it is said what helps."""
 _ROOM = "fewer objects, a larger region or a larger `budget`"
 
 
@@ -140,15 +144,24 @@ def write_bank(
         bank = read_bank(writer.path)
         totals = Totals()
         clutter = ClutterTally(bank)
+        relations = RelationTally(bank)
         for rows in bank.tables():
             rows = rows.filter(pc.less(rows["index"], num_scenes))
             totals.add(rows)
             clutter.add(rows)
+            relations.add(rows)
         asked = [each.line() for each in clutter.features() if each.asked is not None]
         summary = totals.text(num_new, time.perf_counter() - started)
         if bank.num_scenes > num_scenes:
             summary += f"\nbank       holds {bank.num_scenes} scenes, {num_scenes} counted here"
-        summary = "\n".join([summary, *(f"clutter    {line}" for line in asked)])
+        failed = relations.failures()
+        summary = "\n".join(
+            [
+                summary,
+                *(f"clutter    {line}" for line in asked),
+                *(f"relations  {each.line()}" for each in failed),
+            ]
+        )
         with writing(bank.path):
             write_card(bank)
             num_files = min(num_scenes, max_files)
@@ -164,7 +177,7 @@ def write_bank(
         record,
         notes=notes,
         summary=summary,
-        advice=_advice(method.name, totals),
+        advice=_advice(method.name, totals, failed),
         files_written=written,
     )
 
@@ -184,8 +197,11 @@ def run_blocks(
     return sum(rows for _, rows in missing)
 
 
-def _advice(method: str, totals: Totals) -> str:
-    """What to try where few scenes succeed; nothing where most do."""
+def _advice(method: str, totals: Totals, failed: Sequence[RelationFailures]) -> str:
+    """What to try where few scenes succeed, or many fail at relations; nothing where most do well."""
+    hints = [advice_on(each) for each in failed if each.scenes >= _OFTEN * each.total]
+    if hints:
+        return "\n".join(f"advice     {hint}" for hint in hints)
     if totals.success >= _FEW * totals.scenes:
         return ""
     better = _ROOM if method == DEFAULT_METHOD else f"method={DEFAULT_METHOD!r}"
@@ -202,6 +218,7 @@ def _notes(problem: Problem) -> Iterator[str]:
     for asset in {id(each): each for each in problem.world.objects}.values():
         if asset.flags:
             yield f"note: {asset.name}: {'; '.join(asset.flags)}"
+    yield from relation_notes(problem)
     if crowded > 1:
         yield f"note: it is tight: the smallest objects alone cover {crowded:.1f} times the region's area"
 

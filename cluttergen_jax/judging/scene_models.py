@@ -359,7 +359,7 @@ def contacts_of(
     def run(scene: int, model: StandingModel, at: np.ndarray) -> None:
         data = model.start(at)
         result.count[scene] = data.ncon
-        margin = _margins(model, data)
+        margin = _margins(models, model, data)
         result.penetration[scene] = max(-data.contact.dist.min(initial=0.0), 0.0)
         mujoco.mj_step(model.model, data, round(_SETTLE_SECONDS / model.model.opt.timestep))
         mujoco.mj_forward(model.model, data)
@@ -368,16 +368,17 @@ def contacts_of(
         _add_forces(model, data, result.force[scene], result.normal[scene])
         # Of a face that lies flat the engine names a few points, now these and now those: no margin is found
         # too large, and the larger of two is nearer to the truth.
-        margin = np.maximum(margin, _margins(model, data))
+        margin = np.maximum(margin, _margins(models, model, data))
         result.margin[scene, model.objects] = np.where(np.isfinite(margin), margin, np.nan)
 
     models.each(run, poses, is_placed, num_threads)
     return result
 
 
-def _margins(scene: StandingModel, data: mujoco.MjData) -> np.ndarray:
+def _margins(models: SceneModels, scene: StandingModel, data: mujoco.MjData) -> np.ndarray:
     """f64[n]: the support margin of each object of one scene."""
-    return margins_of(scene.layout, data, np.arange(len(scene.objects)))
+    objects = np.arange(len(scene.objects))
+    return margins_of(scene.layout, data, objects, models.stability.side_support)
 
 
 def _add_forces(

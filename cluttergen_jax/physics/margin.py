@@ -5,7 +5,7 @@ the centre of mass lies over it, gravity tips nothing; the nearer it is to an ed
 or another simulator's error has to be to do so.
 
 `support_margin` takes one set of points in a few microseconds; `mjx.support_margins` is its like
-for a batch in JAX.
+for a batch in JAX. `held_margin` counts contacts at a body's sides as well (`StabilityConfig.side_support`).
 """
 
 from __future__ import annotations
@@ -25,6 +25,13 @@ MAX_BESIDE = 0.5
 """Vertical part of a contact's unit normal up to which it is one from the side: 30 degrees from level."""
 TOUCH_REACH = 0.0005
 """Metres of gap across which two objects still touch: what stands side by side parts by micrometres."""
+
+HOLD_FRICTION = 0.35
+"""Of what a body stands on, while its side is held: 0.7 times the usual 0.5, as `robust` asks for."""
+
+_FAN = 2 * np.pi * np.arange(36) / 36
+_DIRECTIONS = np.stack([np.cos(_FAN), np.sin(_FAN)], axis=1)
+"""In which a body with contacts at its sides might tip, besides across the sides of its polygon."""
 
 MIN_SHIFT = 1e-5
 """Metres that an attempt must have moved a neighbour for its support to be looked at again."""
@@ -47,6 +54,47 @@ def support_margin(points: np.ndarray) -> float:
     sides = list(pairwise([*corners, corners[0]]))
     inside = min(_left_of(side) for side in sides)
     return inside if inside > 0 else -min(_distance(side) for side in sides)
+
+
+def held_margin(points: np.ndarray, sides: np.ndarray, normals: np.ndarray) -> float:
+    """The margin of a body that is held from its sides as well: it leans on a wall, or lies in a hollow.
+
+    The support margin is the least value, over all directions d in plan, of the largest d . p, p the points
+    that carry: how far the centre of mass is from the point over which the body would tip in direction d.
+    Tipping by a small angle there moves the point of another contact, at r from the first, by
+    v = (z x d) x r. A contact of normal n that stands against that, v . n < 0, presses with a force f at
+    most: the body's weight times `HOLD_FRICTION` over |n_xy|, as what it stands on has to take the push. Its
+    moment f |v . n| over the weight is added to d . p. That is a part of the region in which a body in
+    contact can be in equilibrium (Bretl and Lall, IEEE T-RO 24(4), 2008).
+
+    Args:
+      points: f[M, 3], metres, of contacts that carry, relative to the centre of mass.
+      sides: f[C, 3], likewise, of contacts that hold it from a side; normals: f[C, 3], unit, in which they
+        press on the body.
+
+    Returns:
+      Metres: at least `support_margin` of the points, and that where nothing is held; -inf for no points.
+    """
+    least = support_margin(points[:, :2])
+    if not len(points) or not len(sides):
+        return least
+    corners = convex_hull(points[:, :2])
+    edges = np.diff([*corners, corners[0]], axis=0)
+    across = np.stack([edges[:, 1], -edges[:, 0]], axis=1)
+    length = np.linalg.norm(across, axis=1)
+    across = across[length > 0] / length[length > 0, None]
+    # Of two points the polygon is a line, over which it may tip to both sides.
+    inwards = -points[:, :2][np.linalg.norm(points[:, :2], axis=1) > 0]
+    inwards /= np.linalg.norm(inwards, axis=1, keepdims=True)
+    direction = np.concatenate([_DIRECTIONS, across, inwards])
+    reach = direction @ points[:, :2].T
+    pivot = points[reach.argmax(1)]
+    lever = sides - pivot[:, None]
+    along = np.einsum("dk,dck->dc", direction, lever[..., :2])
+    slope = np.linalg.norm(normals[:, :2], axis=1)
+    against = along * normals[:, 2] - lever[..., 2] * (direction @ normals[:, :2].T)
+    held = np.maximum(HOLD_FRICTION * against / slope, 0.0).max(1)
+    return max(float((reach.max(1) + held).min()), least)
 
 
 def convex_hull(points: np.ndarray) -> list[Point]:
@@ -99,11 +147,14 @@ def bearers_of(layout: Layout, data: mujoco.MjData, index: int) -> np.ndarray:
     return bears[:-1]
 
 
-def margins_of(layout: Layout, data: mujoco.MjData, objects: np.ndarray) -> np.ndarray:
+def margins_of(
+    layout: Layout, data: mujoco.MjData, objects: np.ndarray, side_support: bool = False
+) -> np.ndarray:
     """Support margins of some objects of a scene at rest whose contacts are computed.
 
     Args:
       objects: i[n], indices of the layout's objects.
+      side_support: contacts at their sides count as well (`held_margin`).
 
     Returns:
       f64[n], metres; -inf for what nothing carries.
@@ -114,11 +165,31 @@ def margins_of(layout: Layout, data: mujoco.MjData, objects: np.ndarray) -> np.n
     # A contact's normal points from the first geom to the second, which it presses that way.
     carried = np.where(lift > 0, pair[:, 1], pair[:, 0])
     carried[(np.abs(lift) < MIN_LIFT) | (contact.dist > 0)] = -1
+    if side_support:
+        return _held_margins(layout, data, objects, carried)
     position = contact.pos[:, :2]
     centers = data.xipos[layout.body_index[objects], :2]
     margins = []
     for index, center in zip(objects, centers, strict=True):
         margins.append(support_margin(position[carried == index] - center))
+    return np.array(margins)
+
+
+def _held_margins(
+    layout: Layout, data: mujoco.MjData, objects: np.ndarray, carried: np.ndarray
+) -> np.ndarray:
+    """f64[n]: `held_margin` of objects; carried: i[C], whom each contact carries, -1 for nobody."""
+    contact = data.contact
+    pair = layout.geom_object[contact.geom]
+    normal = contact.frame[:, :3]
+    is_side = (np.linalg.norm(normal[:, :2], axis=1) >= MIN_LIFT) & (contact.dist <= 0)
+    margins = []
+    for index, center in zip(objects, data.xipos[layout.body_index[objects]], strict=True):
+        offset = contact.pos - center
+        # Towards this body; what presses it down from above does not hold its side.
+        towards = np.where((pair[:, 1] == index)[:, None], normal, -normal)
+        holds = is_side & (pair == index).any(1) & (towards[:, 2] >= -MIN_LIFT)
+        margins.append(held_margin(offset[carried == index], offset[holds], towards[holds]))
     return np.array(margins)
 
 
@@ -141,11 +212,15 @@ class OverlapProbe:
 
     Args:
       layout: of the compiled world.
+      side_support: margins count what holds a body from its sides.
       reach: metres of gap over which contacts are seen, for `beside`.
     """
 
-    def __init__(self, layout: Layout, reach: float = 0.0) -> None:
+    def __init__(
+        self, layout: Layout, side_support: bool = False, reach: float = 0.0
+    ) -> None:
         self._layout = layout
+        self._side_support = side_support
         self._model = layout.model
         self._reach = reach
         if reach:
@@ -186,7 +261,7 @@ class OverlapProbe:
 
     def margins(self, objects: np.ndarray) -> np.ndarray:
         """Support margins of these objects, i[n], in the scene whose depths were asked for last: f64[n]."""
-        return margins_of(self._layout, self._data, objects)
+        return margins_of(self._layout, self._data, objects, self._side_support)
 
     def bearers(self, index: int) -> np.ndarray:
         """The objects that press object `index` upwards in that scene: bool[K]."""

@@ -45,6 +45,10 @@ from cluttergen_jax.types import Piling, Settling, Standing, Verdict
 MAX_BATCHES = 3
 PILES_AT_ONCE = 16
 """Made side by side, as they go on step by step together."""
+_LOWER = 0.002
+"""Metres of a step by which what is let go is lowered (`StabilityConfig.lower_releases`)."""
+_MOST_LOWERED = 50
+"""Such steps, at most."""
 _FEW = 4
 """Steps made at once where the next one may decide a scene: some are in vain, but calls cost, too."""
 
@@ -101,7 +105,7 @@ class NativePhysics(HostPhysics):
         self.max_simulations = max_simulations
         self._model = sleeping_model(layout.model)
         self._cache: OrderedDict[int, Simulations] = OrderedDict()
-        self.probe = OverlapProbe(layout)
+        self.probe = OverlapProbe(layout, config.side_support)
         self._walled: Simulations | None = None
         self._lock = threading.Lock()
         self.closer: DoorCloser | None = None
@@ -112,7 +116,7 @@ class NativePhysics(HostPhysics):
     @cached_property
     def near_probe(self) -> OverlapProbe:
         """Sees what touches from the side, too, where nothing presses."""
-        return OverlapProbe(self.layout, TOUCH_REACH)
+        return OverlapProbe(self.layout, reach=TOUCH_REACH)
 
     def settle_batch(
         self, poses: np.ndarray, is_placed: np.ndarray, focus: np.ndarray, is_active: np.ndarray
@@ -124,12 +128,29 @@ class NativePhysics(HostPhysics):
         result.verdict[is_active & ~is_sound] = Verdict.NON_FINITE
         with self._lock, silent_log():
             for block in self._blocks(is_active & is_sound):
-                attempt = _Attempt(self, poses[block], is_placed[block], focus[block])
+                start = poses[block]
+                if self.config.lower_releases:
+                    start = self._lowered(start, is_placed[block], focus[block])
+                attempt = _Attempt(self, start, is_placed[block], focus[block])
                 attempt.run()
                 attempt.report(result, block)
                 if self.config.robust_tilt:
                     attempt.disturb(result, block)
         return result
+
+    def _lowered(self, poses: np.ndarray, is_placed: np.ndarray, focus: np.ndarray) -> np.ndarray:
+        """f[n, K, 7]: scenes whose focus objects are lowered to the last of small steps without a contact."""
+        lowered = poses.copy()
+        for row, index in enumerate(focus.tolist()):
+            at = lowered[row].astype(np.float64)
+            height = at[index, 2]
+            for step in range(_MOST_LOWERED):
+                at[index, 2] = height - step * _LOWER
+                depths = self.probe.depths(at, is_placed[row])
+                if depths is None or depths[index].any():
+                    break
+                lowered[row, index, 2] = at[index, 2]
+        return lowered
 
     def stand_batch(
         self, poses: np.ndarray, is_placed: np.ndarray, is_active: np.ndarray

@@ -24,14 +24,19 @@ from cluttergen_jax.placement.features import (
 from cluttergen_jax.placement.related import (
     ALIGNED,
     CONE,
+    CONE_SPREAD,
     DIRECTIONS,
     IN,
     ON,
+    TURN_SPREAD,
+    USUAL_GAP,
     RelatedObjects,
     allowed_at,
     carriers_of,
     heading_of,
     leaves_room,
+    preference,
+    usual_heading,
 )
 from cluttergen_jax.placement.relations import KINDS
 from cluttergen_jax.placement.rules import Rules
@@ -54,6 +59,13 @@ _INSIDE = 192
 
 _RELATED = 192
 """Candidates where relations hold that are asked for."""
+
+_USUAL = 96
+"""Candidates besides, near to where people put what is so related."""
+_NEARER = 3.0
+"""Power of their distance from the usual one, as a share of what is allowed."""
+_NEARER_MIDDLE = 0.5
+"""Of the reach of what is tried on or in a thing."""
 
 _TIDY_FINALISTS = 96
 _CLOSER = 1e-6
@@ -100,11 +112,13 @@ class CandidateSet(struct.PyTreeNode):
       found: where they are and how they would lie.
       supporters: what would carry them.
       is_allowed: bool[N], those that would count.
+      preference: f32[N], log weights of places by relations (`related.preference`); None where all are alike.
     """
 
     found: TopCandidates
     supporters: Supporters
     is_allowed: Array
+    preference: Array | None = None
 
 
 class CandidateSampler(struct.PyTreeNode, eq=False):
@@ -138,8 +152,13 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         if self.is_tilted:
             logits, asked = self.tilt(episode, candidates, trust, asked)
             noise += logits
+        elif candidates.preference is not None:
+            noise += candidates.preference
         # Whoever is trusted comes before all others, and among the others the most trusted.
         rank = jnp.where(trust >= asked, 2.0 + noise - jnp.min(noise), trust)
+        if candidates.preference is not None:
+            # Where none would count, at least one near to where it is to be: it may settle there.
+            rank += jnp.where(candidates.is_allowed, 0.0, candidates.preference)
         return candidates.found.action[jnp.argmax(rank)]
 
     @property
@@ -163,6 +182,8 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         logits = jnp.zeros(trust.shape)
         if rules.config.natural:
             logits = natural_logits(rules.geometry, focus, candidates.supporters)
+        if candidates.preference is not None:
+            logits += candidates.preference
         if rules.config.drawn_clutter is None:
             return logits, asked
         at = Placing.of(
@@ -217,6 +238,9 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
             of_relations = jax.random.fold_in(key, 3)
             geometry = search.rules.geometry
             drawn.append(related_candidates(of_relations, scene, related, geometry, _RELATED))
+            if search.rules.config.relations_prefer:
+                usual = jax.random.fold_in(key, 5)
+                drawn.append(usual_candidates(usual, scene, related, geometry, _USUAL))
         return self._look(scene, jax.tree.map(lambda *parts: jnp.concatenate(parts), *drawn))
 
     def look(self, episode: Episode, candidates: Candidates) -> CandidateSet:
@@ -231,6 +255,7 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         rest = found.scores.fit.rest
         supporters = find_supporters(scene, geometry, candidates, rest)
         is_allowed = found.cost < FORBIDDEN / 2
+        weights = None
         if (related := search.rules.related) is not None:
             half = geometry.half_extents
             proposed = proposed_boxes(
@@ -240,7 +265,9 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
             is_allowed &= allowed_at(related, episode, scene.focus, proposed, geometry)
             carriers = carriers_of(related, episode, scene.focus)
             is_allowed &= jnp.all(supporters.touched | ~carriers, axis=1)
-        return CandidateSet(found=found, supporters=supporters, is_allowed=is_allowed)
+            if search.rules.config.relations_prefer:
+                weights = preference(related, episode, scene.focus, proposed, geometry)
+        return CandidateSet(found, supporters, is_allowed, weights)
 
 
 def above_objects(key: Array, scene: SearchScene, rules: Rules, number: int) -> Candidates:
@@ -324,6 +351,24 @@ def related_candidates(
 
     They are uniform over the region where it has none with what is placed, and fit one relation, not all.
     """
+    return _around_related(key, scene, related, geometry, number)
+
+
+def usual_candidates(
+    key: Array, scene: SearchScene, related: RelatedObjects, geometry: Geometry, number: int
+) -> Candidates:
+    """Likewise, near to where and turned as people put what is so related (`related.preference`)."""
+    return _around_related(key, scene, related, geometry, number, is_usual=True)
+
+
+def _around_related(
+    key: Array,
+    scene: SearchScene,
+    related: RelatedObjects,
+    geometry: Geometry,
+    number: int,
+    is_usual: bool = False,
+) -> Candidates:
     episode = scene.episode
     region = episode.region
     assert episode.roles is not None
@@ -337,6 +382,7 @@ def related_candidates(
     placed = Boxes.of(geometry.half_extents, episode.safe_poses)
     openings = openings_of(geometry, episode.safe_poses)
     T_region_world = region.T_world_region.inverse()
+    turn = T_region_world.rotation().as_matrix()
 
     def of_other(boxes: Boxes) -> tuple[Array, Array]:
         """f32[N, 2] the centre of the other object's box, f32[N, 3] its sides in plan, ascending."""
@@ -354,10 +400,19 @@ def related_candidates(
     unit = jax.random.uniform(key_xy, (number, 2), minval=-1.0)
     # Beside it, in the direction of the relation, from touching to as far away as is allowed.
     angle = jnp.array(_ANGLES)[kind] + jnp.where(is_subject[which], 0.0, jnp.pi)
-    angle += jnp.array(_CONES)[kind] * jax.random.uniform(key_angle, (number,), minval=-1.0)
+    aside = jax.random.uniform(key_angle, (number,), minval=-1.0)
+    if is_usual:
+        usual = jax.random.truncated_normal(key_angle, -2.5, 2.5, (number,))
+        aside = jnp.where(jnp.array(_HAS_SIDE)[kind], usual * CONE_SPREAD / CONE, aside)
+    angle += jnp.array(_CONES)[kind] * aside
     nearest = plan[:, 1] + jnp.min(own)
     farthest = diagonal + jnp.linalg.norm(own) + jnp.nan_to_num(related.gap[which])
-    far = nearest + (farthest - nearest) * jax.random.uniform(key_far, (number,))
+    share = jax.random.uniform(key_far, (number,))
+    if is_usual:
+        share = share**_NEARER
+        nearest += USUAL_GAP * jnp.nan_to_num(related.gap[which])
+        unit *= _NEARER_MIDDLE
+    far = nearest + (farthest - nearest) * share
     beside = far[:, None] * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1)
     over = unit * (jnp.array(_OVER)[kind] * diagonal / jnp.sqrt(2.0))[:, None]
     is_over = (kind == ON) | (kind == IN)
@@ -365,15 +420,31 @@ def related_candidates(
     xy = jnp.where(jnp.any(is_place), xy, unit * region.half_extents)
     is_aligned = is_mine & (related.kind == ALIGNED) & (episode.is_placed[other] | is_table)
     first = jnp.argmax(is_aligned)
-    heading = heading_of(placed, T_region_world.rotation().as_matrix())[other[first]]
+    heading = heading_of(placed, turn)[other[first]]
     yaw = _aligned_yaws(key_yaw, scene, jnp.any(is_aligned), heading, is_table[first], number)
+    if is_usual:
+        line = jnp.where(jnp.array(_HAS_SIDE)[kind], jnp.array(_ANGLES)[kind], angle)
+        wanted = usual_heading(line + jnp.pi / 2, placed.take(other[which]), turn)
+        beside_yaw = _yaws_along(jax.random.fold_in(key_yaw, 0), scene, wanted)
+        is_turned = jnp.any(is_place) & ~jnp.any(is_aligned) & ~is_over
+        yaw = jnp.where(is_turned, beside_yaw, yaw)
     return Candidates(jnp.clip(xy, -region.half_extents, region.half_extents), yaw)
+
+
+def _yaws_along(key: Array, scene: SearchScene, heading: Array) -> Array:
+    """f32[N]: turns with the current object's longest side along headings f32[N], to either side."""
+    key_side, key_spread = jax.random.split(key)
+    half = scene.body.half_extents
+    yaw = heading - jnp.where(half[1] > half[0], jnp.pi / 2, 0.0)
+    yaw += jnp.pi * jax.random.randint(key_side, heading.shape, 0, 2)
+    return yaw + TURN_SPREAD * jax.random.truncated_normal(key_spread, -2.0, 2.0, heading.shape)
 
 
 _PLACES = [place for place, kind in enumerate(KINDS) if kind not in ("far_from", "aligned")]
 # By kind: radians, the direction in which the subject is, and to either side of it.
 _ANGLES = [math.atan2(y, x) for x, y in DIRECTIONS]
 _CONES = [CONE if any(direction) else math.pi for direction in DIRECTIONS]
+_HAS_SIDE = [any(direction) for direction in DIRECTIONS]
 _OVER = [_WITHIN.get(kind, 0.0) for kind in KINDS]
 
 

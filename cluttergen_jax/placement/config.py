@@ -75,6 +75,7 @@ class PlacementRequest:
     height: Height = "rest"
     poses: Poses = "upright"
     relations: Sequence[str] = ()
+    relations_prefer: bool = True
     roles: str | Mapping[str, str] | tuple[tuple[str, str], ...] = ""
     clearance: float | None = None
     crowd: float = 0.0
@@ -108,6 +109,7 @@ class PlacementConfig(PlacementRequest):
     min_margin: float = 0.0
     ruin_after: int = 0
     clutter: Clutter | None = None
+    relations_prefer: bool = False
     roles: tuple[tuple[str, str], ...] = ()
     clearance: float = CLEARANCE
     # What no request asks for.
@@ -160,7 +162,7 @@ class PlacementConfig(PlacementRequest):
                     f"{name}={allowed[0]!r}",
                     closest(value, allowed),
                 )
-        for name in ("natural", "tidy", "retry_last"):
+        for name in ("natural", "tidy", "relations_prefer", "retry_last"):
             value = getattr(self, name)
             if not isinstance(value, bool):
                 raise ConfigError(f"{name} = {value!r}", "True, False", f"{name}=True")

@@ -17,7 +17,7 @@ INNER = 0.8
 """Share of a box, in plan: what is in a thing without a hollow has its centre over this part of it."""
 _FULL = 0.35
 """Share of a hollow, in plan, that the objects drawn for it may fill together, where they are several."""
-_MOST_WIDE = 1.5
+MOST_WIDE = 1.5
 """Factor on an opening's sides: a leaning object's box is wider than what is inside."""
 _MOST_TILTED = np.cos(np.radians(45.0)).item()
 
@@ -37,7 +37,7 @@ def is_in(subjects: Boxes, openings: Boxes) -> Array:
     """
     wide = _two_longest(subjects)
     room = _two_longest(openings)
-    is_narrow = jnp.all(wide <= _MOST_WIDE * room, axis=1)
+    is_narrow = jnp.all(wide <= MOST_WIDE * room, axis=1)
     low = subjects.center[:, 2] - reach_up(subjects)
     rim = openings.center[:, 2] + reach_up(openings)
     # Nor is in a thing what stands on a board below it.

@@ -40,6 +40,7 @@ def make_orientations(
     stability: StabilityConfig,
     kind: str,
     cut: Callable[[ObjectAsset], HeightProfile],
+    tilted: np.ndarray | None = None,
 ) -> Orientations:
     """The orientations in which objects may be released, upright first; NumPy arrays.
 
@@ -47,18 +48,32 @@ def make_orientations(
       layout: the compiled world of these objects, in their order.
       kind: "resting": the resting poses of each, verified: released so, alone, in four turns, it is stable
         and stays within 3 degrees. One is drawn as often as random releases end in it. "any": directions
-        spread evenly over the sphere, of which any may point up.
+        spread evenly over the sphere, of which any may point up. "upright": as the object frame has it.
       cut: makes columns.
+      tilted: bool[K], objects that get those directions, and their resting poses, besides, with no weight.
     """
     engine = cast(BatchEngine, make_physics(layout, replace(stability, robust_tilt=0.0), "native"))
-    lying = _stable_poses([_resting_poses(asset) for asset in objects], objects, layout, engine)
+    recorded = [_resting_poses(asset) for asset in objects]
+    if kind == "upright":
+        is_tilted = np.zeros(len(objects), bool) if tilted is None else tilted
+        recorded = [
+            poses if asks else poses[:1] for poses, asks in zip(recorded, is_tilted, strict=True)
+        ]
+    lying = _stable_poses(recorded, objects, layout, engine)
     engine.free()
     number = MAX_RESTING
+    if kind == "any" or tilted is not None:
+        number += NUM_SPREAD
+    spread = [_quaternion_of(upright_turn(up)) for up in _spread()]
     if kind == "any":
         # Resting poses only tell how an object came to lie.
-        number += NUM_SPREAD
-        spread = [_Pose(_quaternion_of(upright_turn(up)), 1.0) for up in _spread()]
-        lying = [[*(replace(pose, weight=0.0) for pose in poses), *spread] for poses in lying]
+        any_up = [_Pose(each, 1.0) for each in spread]
+        lying = [[*(replace(pose, weight=0.0) for pose in poses), *any_up] for poses in lying]
+    elif tilted is not None:
+        lying = [
+            _with_tilted(poses, spread, kind) if asks else poses
+            for poses, asks in zip(lying, tilted, strict=True)
+        ]
     bodies = [
         [_Body.of(asset, pose, cut) for pose in poses]
         for asset, poses in zip(objects, lying, strict=True)
@@ -82,6 +97,13 @@ class _Pose:
     def up(self) -> np.ndarray:
         """f64[3]: which direction of the object points up."""
         return self.matrix[2]
+
+
+def _with_tilted(poses: list[_Pose], spread: list[np.ndarray], kind: str) -> list[_Pose]:
+    """An object's poses, and any directions, which are drawn only where something asks for them."""
+    if kind == "upright":
+        poses = [poses[0], *(replace(pose, weight=0.0) for pose in poses[1:])]
+    return [*poses, *(_Pose(each, 0.0) for each in spread)]
 
 
 def _resting_poses(asset: ObjectAsset) -> list[_Pose]:

@@ -34,6 +34,19 @@ MAX_ANGLE = np.radians(10.0).item()
 """By which what is aligned may differ."""
 CONE = np.radians(45.0).item()
 """To either side of the direction in which a thing to the left, right, front or back of another is."""
+CONE_SPREAD = np.radians(8.0).item()
+"""Standard deviation of the angle from the middle of that cone at which people put things."""
+TURN_SPREAD = np.radians(4.0).item()
+"""Standard deviation of the turn from the axes of what a thing is put beside."""
+USUAL_GAP = 0.15
+"""Share of the gap that a relation allows that people leave: 2 cm beside a plate."""
+_NEAR = 0.1
+"""Share of it by which another gap weighs 1/e of that."""
+_MIDDLE = 0.35
+"""Standard deviation of the offset of what is on or in a thing, of that one's half side."""
+_LEAST_LOGIT = -60.0
+_LONG = 1.15
+"""A longer side over the shorter one, in plan, from which it is seen how a thing is turned."""
 ON, IN, ALIGNED = (KINDS.index(kind) for kind in ("on", "in", "aligned"))
 
 
@@ -58,6 +71,10 @@ class RelatedObjects(struct.PyTreeNode):
       possible: i32[Q], objects that take all roles together, for draws that end in a dead end.
       subject, reference: i32[R], roles; the reference is Q for the table.
       kind: i32[R], of `relations.KINDS`; gap: f32[R], metres.
+      ways_in: f32[K, K, P], log weights of the orientations in which an object, row, is released over a
+        container, column, in which it is to be; None where it is released as anywhere. This and the next are
+        those of `placement.problem.find_ways_in`.
+      goes_in: bool[K, K], False where no such orientation was found.
     """
 
     candidates: Array
@@ -67,6 +84,8 @@ class RelatedObjects(struct.PyTreeNode):
     reference: Array
     kind: Array
     gap: Array
+    ways_in: Array | None = None
+    goes_in: Array | None = None
 
     @staticmethod
     def of(
@@ -142,6 +161,26 @@ class RelatedObjects(struct.PyTreeNode):
         full = jnp.append(objects, 0)
         is_table = self.reference == self.num_roles
         return full[self.subject], full[self.reference], is_table
+
+    def pairs_of(self, kind: int) -> np.ndarray:
+        """bool[K, K]: objects, rows, that may be the subject of a relation of a kind, and its references."""
+        candidates = np.asarray(self.candidates)
+        found = np.zeros((candidates.shape[1],) * 2, bool)
+        for each in np.flatnonzero(np.asarray(self.kind) == kind).tolist():
+            subject = candidates[int(self.subject[each])]
+            found |= subject[:, None] & candidates[int(self.reference[each])]
+        np.fill_diagonal(found, False)
+        return found
+
+    def draw_way_in(self, key: Array, objects: Array, focus: Array, usual: Array) -> Array:
+        """i32: an orientation of the focus object, drawn for what it is to be in, else `usual`, i32."""
+        if self.ways_in is None:
+            return usual
+        is_subject, _, other, _ = self.pairs(objects, focus)
+        goes_in = is_subject & (self.kind == IN)
+        container = other[jnp.argmax(goes_in)]
+        drawn = jax.random.categorical(key, self.ways_in[focus, container]).astype(jnp.int32)
+        return jnp.where(jnp.any(goes_in), drawn, usual)
 
     def pairs(self, objects: Array, focus: Array) -> tuple[Array, Array, Array, Array]:
         """What the relations say of one object.
@@ -235,14 +274,97 @@ def heading_of(boxes: Boxes, turn: Array) -> Array:
     return jnp.arctan2(side[:, 1], side[:, 0])
 
 
+def is_long(boxes: Boxes) -> Array:
+    """bool[N]: whether it is seen how a box is turned: one side is longer than the other, in plan."""
+    plan = jnp.sort(jnp.linalg.norm(boxes.sides[..., :2], axis=-1), axis=-1)
+    return plan[:, 2] > _LONG * plan[:, 1]
+
+
+def usual_heading(across: Array, references: Boxes, turn: Array) -> Array:
+    """f32[N]: how people turn what is beside another, the angle of its longest side, modulo half a turn.
+
+    It lies across the line between both, like cutlery beside a plate; along the nearest axis of the other
+    where that one is long itself.
+
+    Args:
+      across: f32[N], radians, the angle of that line plus a quarter of a turn, region frame.
+      turn: f32[3, 3], from the world to the region.
+    """
+    quarter = jnp.pi / 2
+    heading = heading_of(references, turn)
+    along = heading + quarter * jnp.round((across - heading) / quarter)
+    return jnp.where(is_long(references), along, across)
+
+
+def preference(
+    related: RelatedObjects, episode: Episode, focus: Array, proposed: Boxes, geometry: Geometry
+) -> Array:
+    """f32[N]: log weights, at most 0, of candidates by where people put what is so related; no bans.
+
+    On a side: near the middle of its cone, close by. Next to: close by. On, in: over the middle. Beside in
+    any way: turned by `usual_heading`. Aligned: exactly. Far from: anywhere.
+
+    Args:
+      focus: i32, the current object; proposed: N boxes of it.
+    """
+    assert episode.roles is not None
+    is_subject, is_reference, other, is_table = related.pairs(episode.roles, focus)
+    counts = (is_subject | is_reference) & (episode.is_placed[other] | is_table)
+    poses = episode.safe_poses
+    others = Boxes.of(geometry.half_extents, poses).take(other)
+    openings = openings_of(geometry, poses).take(other)
+    turn = episode.region.T_world_region.inverse().rotation().as_matrix()
+    side = jnp.array(DIRECTIONS)[related.kind]
+    has_side = jnp.any(side != 0, axis=1)
+
+    def is_kind(*names: str) -> Array:
+        return jnp.isin(related.kind, jnp.array([KINDS.index(name) for name in names]))
+
+    def at(box: Boxes) -> Array:
+        own = box.repeat(len(other))
+        subjects = jax.vmap(choose)(is_subject, own, others)
+        references = jax.vmap(choose)(is_subject, others, own)
+        offset = ((subjects.center - references.center) @ turn.T)[:, :2]
+        gap = jax.vmap(lambda one, two: gaps(_alone(one), _alone(two))[0, 0])(subjects, references)
+        line = jnp.where(has_side[:, None], side, offset)
+        away = jnp.arctan2(
+            offset[:, 0] * side[:, 1] - offset[:, 1] * side[:, 0], jnp.sum(offset * side, axis=1)
+        )
+        by_side = -((away / CONE_SPREAD) ** 2) / 2
+        by_gap = -jnp.abs(gap / jnp.nan_to_num(related.gap, nan=1.0) - USUAL_GAP) / _NEAR
+        hollows = jax.vmap(choose)(is_kind("in") & is_subject, openings, references)
+        inner = ((subjects.center - hollows.center) @ turn.T)[:, :2]
+        plan = jnp.sort(jnp.linalg.norm(hollows.sides[..., :2], axis=-1), axis=-1)[:, 1:]
+        by_middle = -jnp.sum(inner**2, axis=1) / jnp.mean((_MIDDLE * plan) ** 2, axis=1) / 2
+        across = jnp.arctan2(line[:, 0], -line[:, 1])
+        wanted = usual_heading(across, others, turn)
+        turned = jnp.mod(heading_of(own, turn) - wanted + jnp.pi / 2, jnp.pi) - jnp.pi / 2
+        by_turn = jnp.where(is_long(own), -((turned / TURN_SPREAD) ** 2) / 2, 0.0)
+        aligned = _turn_away(related, subjects, references, turn)
+        is_beside = has_side | is_kind("next_to")
+        is_turned = is_beside & ~jnp.any(counts & is_kind("aligned"))
+        logit = jnp.where(has_side, by_side, 0.0)
+        logit += jnp.where(is_beside, by_gap, 0.0)
+        logit += jnp.where(is_kind("on", "in"), by_middle, 0.0)
+        logit += jnp.where(is_turned, by_turn, 0.0)
+        logit += jnp.where(is_kind("aligned"), -((aligned / TURN_SPREAD) ** 2) / 2, 0.0)
+        return jnp.sum(jnp.where(counts, logit, 0.0))
+
+    return jnp.maximum(jax.vmap(at)(proposed), _LEAST_LOGIT)
+
+
 def _is_aligned(related: RelatedObjects, subjects: Boxes, references: Boxes, turn: Array) -> Array:
+    return jnp.abs(_turn_away(related, subjects, references, turn)) <= MAX_ANGLE
+
+
+def _turn_away(related: RelatedObjects, subjects: Boxes, references: Boxes, turn: Array) -> Array:
+    """f32[R], radians: by how much the subject of each pair is turned from what it is aligned to."""
     angle = heading_of(subjects, turn)
     is_table = related.reference == related.num_roles
     angle -= jnp.where(is_table, 0.0, heading_of(references, turn))
     # To the table any side will do, to an object the longer one.
     period = jnp.where(is_table, jnp.pi / 2, jnp.pi)
-    away = jnp.mod(angle + period / 2, period) - period / 2
-    return jnp.abs(away) <= MAX_ANGLE
+    return jnp.mod(angle + period / 2, period) - period / 2
 
 
 def holds_among(

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 KINDS = get_args(RelationKind)
 TABLE = "table"
 """What things may be aligned to besides objects: the sides of the queried region."""
+SIDES = ("left_of", "right_of", "in_front_of", "behind")
+"""Kinds that are meant as one sees it who stands at the region's -y side."""
 MOST_RELATIONS = 64
 USUAL = {"next_to": 0.05, "far_from": 0.20, "left_of": 0.15, "right_of": 0.15}
 USUAL |= {"in_front_of": 0.15, "behind": 0.15}
@@ -104,6 +106,11 @@ def parse_relations(texts: Sequence[str]) -> tuple[Relation, ...]:
         raise ConfigError(f"{len(found)} relations", f"up to {MOST_RELATIONS}", "fewer")
     order_of(found)
     return found
+
+
+def is_any_inside(relations: Sequence[Relation]) -> bool:
+    """Whether any object is to be in another: it leans on walls, and takes longer to come to rest."""
+    return any(each.kind == "in" for each in relations)
 
 
 def order_of(relations: Sequence[Relation]) -> tuple[str, ...]:

@@ -51,7 +51,7 @@ from cluttergen_jax.placement.types import (
 )
 from cluttergen_jax.types import Array, Closing, Settling, Standing, Verdict
 
-_OWN_SHARE = 1 / 3
+OWN_SHARE = 1 / 3
 """Of what a narrow object has on a flat table: so much support margin is asked of it at most. Of a round face
 engines name four points or so, which can leave less than half of it."""
 _SHARE = (0.5, 3.5)
@@ -428,7 +428,10 @@ class Rules(struct.PyTreeNode, eq=False):
         """The episode with an orientation drawn for its current object, where not all are upright."""
         if self.geometry.orientations is None:
             return episode
-        drawn = self.geometry.orientations.draw(key, self.focus(episode))
+        focus = self.focus(episode)
+        drawn = self.geometry.orientations.draw(key, focus)
+        if self.related is not None and episode.roles is not None:
+            drawn = self.related.draw_way_in(key, episode.roles, focus, drawn)
         return episode.replace(orientation=drawn)
 
     def _with_surface(self, episode: Episode, key: Array) -> Episode:
@@ -603,7 +606,7 @@ class Rules(struct.PyTreeNode, eq=False):
     def is_supported(self, episode: Episode, focus: Array, settling: Settling) -> Array:
         """Whether all that this episode placed, the focus object included, has the margin asked for; bool."""
         own = self.geometry.own_margins_at(settling.poses)
-        asked = jnp.minimum(self.config.min_margin, _OWN_SHARE * own)
+        asked = jnp.minimum(self.config.min_margin, OWN_SHARE * own)
         return ~jnp.any(self._is_ours(episode, focus) & (settling.margin < asked))
 
     def _push(

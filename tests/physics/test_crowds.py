@@ -72,7 +72,7 @@ def test_a_crowd_touches_from_the_side_as_often_as_asked_and_stands(engine):
     assert (made.num_beside >= 3).all()
     assert (made.num_leaning == 0).all()
     assert not made.releases.any()
-    probe = OverlapProbe(engine.layout, TOUCH_REACH)
+    probe = OverlapProbe(engine.layout, reach=TOUCH_REACH)
     for row in range(4):
         assert probe.depths(made.poses[row], asked[1][row]).max() < 0.0005
         assert probe.beside().any(1).all()
@@ -83,7 +83,7 @@ def test_a_crowd_touches_from_the_side_as_often_as_asked_and_stands(engine):
 
 def test_objects_apart_do_not_touch_before(engine):
     asked = asked_for(1, side=0.75)
-    probe = OverlapProbe(engine.layout, TOUCH_REACH)
+    probe = OverlapProbe(engine.layout, reach=TOUCH_REACH)
     probe.depths(asked[0][0], asked[1][0])
     assert not probe.beside().any()
 

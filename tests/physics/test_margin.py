@@ -10,11 +10,12 @@ import pytest
 from shapely.geometry import MultiPoint, Point
 
 from cluttergen_jax.assets.support import cuboid_table
-from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.config import ContactConfig, StabilityConfig, stability_record
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.judging.scene_models import SceneModels, TiltConfig, tilt
-from cluttergen_jax.physics.margin import support_margin
+from cluttergen_jax.physics.margin import OverlapProbe, held_margin, support_margin
 from cluttergen_jax.physics.mjx import support_margins
+from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.placement.types import Start
 from cluttergen_jax.placement.world import make_world
 from cluttergen_jax.types import Verdict
@@ -147,3 +148,71 @@ def test_tilted_gravity_topples_what_hand_arithmetic_says(models, brink):
     np.testing.assert_allclose(middle, 1.0)
     with pytest.raises(ConfigError, match="ascend"):
         TiltConfig((5.0, 1.0))
+
+
+def test_a_wall_holds_what_leans_on_it_by_hand_arithmetic():
+    # The foot is an edge of 4 cm, 2 cm behind the centre of mass; the wall touches 10 cm above it.
+    foot = np.array([[-0.02, -0.02, -0.05], [-0.02, 0.02, -0.05]])
+    wall = np.array([[0.02, 0.0, 0.05]])
+    against = np.array([[-1.0, 0.0, 0.0]])
+    assert support_margin(foot[:, :2]) == pytest.approx(-0.02)
+    assert held_margin(foot, wall, against) == pytest.approx(-0.02 + 0.35 * 0.10)
+    # One that pulls the other way, or touches at the foot's height, holds nothing.
+    assert held_margin(foot, wall, -against) == pytest.approx(-0.02)
+    low = wall - [[0.0, 0.0, 0.1]]
+    assert held_margin(foot, low, against) == pytest.approx(-0.02)
+
+
+def test_what_holds_a_side_never_takes_from_a_margin():
+    draw = np.random.default_rng(3)
+    nothing = np.zeros((0, 3))
+    for plan in some_points(100):
+        points = np.c_[plan, draw.normal(size=len(plan)) * 0.02]
+        normals = draw.normal(size=(4, 3))
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        sides = draw.normal(size=(4, 3)) * 0.05
+        assert held_margin(points, nothing, nothing) == support_margin(plan)
+        held = held_margin(points, sides, normals)
+        assert held >= support_margin(plan)
+        # Turned all together about the vertical it is the same, up to the directions that are tried.
+        turn = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+        again = held_margin(points @ turn.T, sides @ turn.T, normals @ turn.T)
+        assert again == pytest.approx(held, abs=0.005)
+    assert held_margin(nothing, sides, normals) == -math.inf
+
+
+def leaning_plank(side_support):
+    """The margin of a plank that came to rest against a heavy block, and how that attempt ended."""
+    objects = [box("block", (0.05, 0.05, 0.08), 5.0), box("plank", (0.005, 0.03, 0.06))]
+    config = StabilityConfig(side_support=side_support, settle_steps=220)
+    world = make_world(objects, cuboid_table(), config, ContactConfig())
+    engine = NativePhysics(world.layout, config, num_threads=1)
+    tilt = math.radians(-14.0)
+    poses = np.zeros((1, 2, 7), np.float32)
+    poses[0, 0] = [0.0, 0.0, TOP + 0.08, 1.0, 0.0, 0.0, 0.0]
+    poses[0, 1] = [0.074, 0.0, TOP + 0.0605, math.cos(tilt / 2), 0.0, math.sin(tilt / 2), 0.0]
+    everyone = np.ones((1, 2), bool)
+    settling = engine.settle_batch(poses, everyone, np.array([1]), np.ones(1, bool))
+    return float(settling.margin[0, 1]), Verdict(int(settling.verdict[0]))
+
+
+def test_a_plank_against_a_block_is_held_where_its_side_counts():
+    poor, verdict = leaning_plank(False)
+    held, same = leaning_plank(True)
+    assert verdict == same == Verdict.STABLE
+    assert poor < 0.003 < held
+
+
+def test_without_contacts_at_sides_nothing_differs():
+    config = StabilityConfig()
+    world = make_world([box("a", (0.03, 0.02, 0.02))], cuboid_table(), config, ContactConfig())
+    pose = np.array([[0.1, 0.1, TOP + 0.0199, math.cos(0.3), 0.0, 0.0, math.sin(0.3)]])
+    found = []
+    for side_support in (False, True):
+        probe = OverlapProbe(world.layout, side_support)
+        probe.depths(pose, np.ones(1, bool))
+        found.append(probe.margins(np.array([0])))
+    assert found[0].tobytes() == found[1].tobytes()
+    assert found[0] > 0.01
+    assert "side_support" not in stability_record(config)
+    assert stability_record(StabilityConfig(side_support=True))["side_support"]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,11 +15,14 @@ from shapely import MultiPoint
 from cluttergen_jax.api.generate import generate
 from cluttergen_jax.assets.facts import ObjectFacts
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.generation.files import view_of
 from cluttergen_jax.generation.layouts import list_layouts, read_layout
 from cluttergen_jax.placement.boxes import Boxes
+from cluttergen_jax.placement.config import placement_record
 from cluttergen_jax.placement.region import make_region
-from cluttergen_jax.placement.related import RelatedObjects, hold
+from cluttergen_jax.placement.related import RelatedObjects, hold, preference
 from cluttergen_jax.placement.relations import Relation, order_of, parse_relations, parse_roles
+from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.scene.bank import read_scenes
 from cluttergen_jax.spec import SceneSpec
 
@@ -232,3 +238,138 @@ def test_relations_hold_in_scenes_that_succeed(tmp_path):
         x, y, _ = (scene.poses[place["wine_glass"]] - scene.poses[place["dinner_plate"]])[:3]
         assert y > 0
         assert abs(x) <= y + 1e-5
+
+
+def weigh(text, places, yaws, half=(0.01, 0.08, 0.01)):
+    """Log weights of places of "a", a long thing, about "b", a plate at the origin."""
+    related = RelatedObjects.of([Relation.parse(text)], (), facts("a", "b"))
+    roles = {name: index for index, name in enumerate(order_of([Relation.parse(text)]))}
+    numbers = jnp.array([("a", "b").index(name) for name in sorted(roles, key=roles.get)])
+    episode = SimpleNamespace(
+        roles=numbers,
+        is_placed=jnp.array([False, True]),
+        safe_poses=jnp.tile(jnp.array([[0.0, 0, 0, 1, 0, 0, 0]]), (2, 1)),
+        region=make_region(jnp.zeros(2), jnp.ones(2), 0.0, 0.0),
+    )
+    geometry = SimpleNamespace(half_extents=jnp.array([half, (0.1, 0.1, 0.01)]), hollows=None)
+    found = [boxes((*place, 0.0), yaw, half) for place, yaw in zip(places, yaws, strict=True)]
+    proposed = jax.tree.map(lambda *each: jnp.concatenate(each), *found)
+    return np.asarray(preference(related, episode, jnp.int32(0), proposed, geometry))
+
+
+def around(kind, degrees, far):
+    """A place at an angle from the middle of a side."""
+    middle = {"left_of": 180, "right_of": 0, "in_front_of": 270, "behind": 90}[kind]
+    angle = np.radians(middle + degrees)
+    return far * np.cos(angle), far * np.sin(angle)
+
+
+@pytest.mark.parametrize("kind", ["left_of", "right_of", "in_front_of", "behind"])
+def test_the_middle_of_a_side_a_usual_gap_and_a_usual_turn_weigh_most(kind):
+    across = 0.0 if kind in ("left_of", "right_of") else np.pi / 2
+    gap = 0.1 + 0.01 + 0.15 * 0.15
+    places = [around(kind, degrees, gap) for degrees in (0, 8, 20, 40)]
+    by_angle = weigh(f"a {kind} b", places, [across] * 4)
+    assert np.all(np.diff(by_angle) < 0)
+    # Two standard deviations of the turn, and of it the other way around.
+    by_turn = weigh(
+        f"a {kind} b", [places[0]] * 3, [across, across + np.radians(8), across + np.pi]
+    )
+    assert by_turn[0] - by_turn[1] > 1.9
+    assert by_turn[2] == pytest.approx(by_turn[0], abs=1e-3)
+    far = [around(kind, 0, each) for each in (0.1, gap, gap + 0.03, gap + 0.1)]
+    by_gap = weigh(f"a {kind} b", far, [across] * 4)
+    assert np.argmax(by_gap) == 1
+    assert np.all(np.diff(by_gap[1:]) < 0)
+    # What is as wide as long is turned as one likes.
+    square = weigh(f"a {kind} b", [places[0]] * 2, [0.0, 0.7], half=(0.03, 0.03, 0.03))
+    assert abs(square[0] - square[1]) < 0.5
+
+
+def test_over_the_middle_weighs_most_and_far_away_is_all_alike():
+    places = [(0.0, 0.0), (0.02, 0.0), (0.08, 0.0)]
+    for kind in ("on", "in"):
+        assert np.all(np.diff(weigh(f"a {kind} b", places, [0.3] * 3)) < 0)
+    away = [(0.4, 0.0), (0.0, 0.5)]
+    assert np.all(weigh("a far_from b", away, [0.2, 1.0]) == 0)
+
+
+def test_a_bank_records_whether_relations_prefer():
+    related = SceneSpec(relations=("fork left_of dinner_plate",), num_objects=4)
+    plain = dataclasses.replace(related, relations_prefer=False)
+    asked = [each.problem_config("guided").placement for each in (related, plain)]
+    assert [each.relations_prefer for each in asked] == [True, False]
+    records = [placement_record(each) for each in asked]
+    assert records[0] == records[1] | {"relations_prefer": True}
+    unrelated = SceneSpec(num_objects=4).problem_config("guided")
+    assert "relations_prefer" not in placement_record(unrelated.placement)
+    with pytest.raises(ConfigError, match="relations_prefer"):
+        SceneSpec(relations=("fork left_of dinner_plate",), relations_prefer=1)  # type: ignore[arg-type]
+
+
+def test_time_and_side_support_are_for_what_is_in_others():
+    inside = SceneSpec(relations=("fork in mug",), num_objects=4).problem_config("guided")
+    beside = SceneSpec(relations=("fork left_of mug",), num_objects=4).problem_config("guided")
+    assert inside.stability.side_support
+    assert inside.stability.decision_step == inside.stability.max_steps
+    assert beside.stability == SceneSpec(num_objects=4).problem_config("guided").stability
+
+
+def test_pictures_look_from_where_left_is_meant():
+    region = {"center": [0.0, 0.0], "half_extents": [0.3, 0.3], "yaw": np.radians(20.0)}
+    for relations, expected in (
+        (["fork left_of mug"], 110.0),
+        (["fork on mug"], CameraView().azimuth),
+        ([], CameraView().azimuth),
+    ):
+        bank = SimpleNamespace(recipe={"placement": {"relations": relations}, "region": region})
+        assert view_of(bank).azimuth == pytest.approx(expected)
+
+
+@pytest.mark.slow
+def test_what_is_related_is_near_the_middle_of_its_side(tmp_path):
+    asked = ("fork left_of dinner_plate", "mug behind dinner_plate")
+    medians = []
+    for prefers in (True, False):
+        bank = generate(
+            tmp_path / str(prefers),
+            pool="dining",
+            num_objects=6,
+            relations=asked,
+            relations_prefer=prefers,
+            num_scenes=48,
+            render=False,
+            max_files=0,
+        )
+        away = []
+        for scene in read_scenes(bank):
+            place = {name: scene.poses[index] for index, name in enumerate(scene.names)}
+            x, y = (place["fork"] - place["dinner_plate"])[:2]
+            away.append(np.degrees(np.arctan2(abs(y), -x)))
+            x, y = (place["mug"] - place["dinner_plate"])[:2]
+            away.append(np.degrees(np.arctan2(abs(x), y)))
+        assert len(away) >= 0.98 * 2 * 48
+        medians.append(np.median(away))
+    assert medians[0] <= 12 < medians[1]
+
+
+@pytest.mark.slow
+def test_what_goes_in_leaning_is_put_in(tmp_path):
+    bank = generate(
+        tmp_path / "bank",
+        pool="dining",
+        num_objects=4,
+        relations=("fork in mug",),
+        num_scenes=16,
+        render=False,
+        max_files=0,
+    )
+    scenes = list(read_scenes(bank))
+    assert len(scenes) >= 14
+    for scene in scenes:
+        place = {name: index for index, name in enumerate(scene.names)}
+        fork = corners(scene, place["fork"])
+        mug = corners(scene, place["mug"])
+        assert fork[:, 2].min() < mug[:, 2].mean()
+        lowest = fork[fork[:, 2].argmin(), :2]
+        assert MultiPoint(mug[:, :2]).convex_hull.covers(MultiPoint([lowest]))

@@ -18,6 +18,7 @@ from cluttergen_jax.assets.doors import with_doors_open
 from cluttergen_jax.config import DoorState
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
 from cluttergen_jax.files import write_atomically
+from cluttergen_jax.generation.files import view_of
 from cluttergen_jax.generation.sources import BankSource, FileSource, open_source
 from cluttergen_jax.placement import Replay
 from cluttergen_jax.placement.doors import poses_on
@@ -79,6 +80,7 @@ class Rendering:
       bop: of a BOP dataset.
       cameras: that see each scene, in place of the look's view.
       doors: "open" shows finished scenes with those doors open that they close.
+      has_view: the look's view is asked for; else it is what suits the source (`files.view_of`).
     """
 
     products: frozenset[str]
@@ -93,13 +95,25 @@ class Rendering:
     bop: BopConfig
     cameras: tuple[CameraPlan, ...] = ()
     doors: DoorState = "closed"
+    has_view: bool = True
 
     def make(self, source: str, scenes: Sequence[int] | Literal["all"] | None) -> RenderReport:
         """Makes everything that is asked for of scenes of a source; see `chosen_numbers`."""
         if self._makes("turntable", "replay"):
             check_format(self.film)
-        sizes = {size: self._picture(size, "draft") for size in (_LARGE, _SMALL, _CELL)}
         opened, own = open_source(source)
+        if self.has_view or not isinstance(opened, BankSource):
+            return self._make_all(opened, own, scenes)
+        look = replace(self.look, view=view_of(opened.bank))
+        return replace(self, look=look)._make_all(opened, own, scenes)
+
+    def _make_all(
+        self,
+        opened: SceneSource,
+        own: int | None,
+        scenes: Sequence[int] | Literal["all"] | None,
+    ) -> RenderReport:
+        sizes = {size: self._picture(size, "draft") for size in (_LARGE, _SMALL, _CELL)}
         numbers = chosen_numbers(opened, own, scenes, _SHEET if self._makes("sheet") else 1)
         is_drawn, notes = self._can_draw()
         notes += opened.notes if isinstance(opened, FileSource) else ()

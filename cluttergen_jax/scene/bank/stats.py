@@ -17,6 +17,7 @@ from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.progress import time_text
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.record import record_error
+from cluttergen_jax.scene.bank.relation_tally import RelationFailures, RelationTally
 from cluttergen_jax.scene.bank.table import BY_HAND, CERTIFICATE, COUNTED, count_column
 from cluttergen_jax.types import Verdict, small_length
 
@@ -312,6 +313,7 @@ class BankStats:
       duplicates: indices of scenes that stand and are equal to the bit, objects and poses, group by group.
       certificate: of those scenes that have one; None if none has.
       clutter: features of the scenes that stand, as far as they are known.
+      relations: at which scenes failed, and how often.
       hand_median, hand_total: seconds that a person spent on a scene, and on all; None where none did.
       door_hits: scenes by what a door hit last, such as `door_left hits mug`; None where none are closed.
     """
@@ -331,6 +333,7 @@ class BankStats:
     duplicates: tuple[tuple[int, ...], ...]
     certificate: CertificateStats | None
     clutter: tuple[FeatureStats, ...] = ()
+    relations: tuple[RelationFailures, ...] = ()
     hand_median: float | None = None
     hand_total: float | None = None
     door_hits: dict[str, int] | None = None
@@ -376,6 +379,7 @@ class _Tally:
     def __init__(self, bank: Bank) -> None:
         self._bank = bank
         self._clutter = ClutterTally(bank)
+        self._relations = RelationTally(bank)
         self._totals = Totals()
         self._missing: list[tuple[int, int]] = []
         self._last = -1
@@ -392,6 +396,7 @@ class _Tally:
         good = rows.filter(rows["is_success"])
         self._totals.add(rows)
         self._clutter.add(rows)
+        self._relations.add(rows)
         self._look_for_gaps(np.array(rows["index"]))
         for each in pc.value_counts(rows["verdict"]).to_pylist():
             self._verdicts[each["values"]] += each["counts"]
@@ -430,6 +435,7 @@ class _Tally:
             ),
             certificate=_certificate(pa.concat_tables(self._certified)),
             clutter=self._clutter.features(),
+            relations=self._relations.failures(),
             hand_median=None if seconds is None else float(np.median(seconds)),
             hand_total=None if seconds is None else float(seconds.sum()),
             door_hits=dict(totals.hits.most_common()) if totals.has_doors else None,
@@ -537,6 +543,10 @@ def stats_text(bank: Bank, stats: BankStats) -> str:
     )
     lines += [
         f"{'' if place else 'clutter':11}{each.line()}" for place, each in enumerate(stats.clutter)
+    ]
+    lines += [
+        f"{'' if place else 'relations':11}{each.line()}"
+        for place, each in enumerate(stats.relations)
     ]
     facts = stats.certificate_lines()
     lines += [f"{'' if place else 'certified':11}{fact}" for place, fact in enumerate(facts)]
