@@ -585,7 +585,10 @@ class SceneSpec(PlacementRequest):
             num_threads=self.num_threads,
             placement=placement,
             stability=replace(
-                stability, both_detectors=has_two_detectors and self.setting != "paper"
+                stability,
+                both_detectors=has_two_detectors and self.setting != "paper",
+                # What is drawn together is held by its neighbours.
+                side_support=stability.side_support or placement.crowd_targets is not None,
             ),
             contact=ContactConfig(noslip_iterations=PILE_NOSLIP if is_heap else 0),
         )

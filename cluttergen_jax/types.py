@@ -150,7 +150,7 @@ class Piling(struct.PyTreeNode):
         than the highest of the objects that carry it and whose centre of mass is lower.
       num_beside: i32, pairs of objects that touch from the side; num_leaning: i32, objects that lean, counted
         where objects were drawn together (`physics.crowds`); is_left_out: bool[K], those that tipped over or
-        left the region meanwhile: the others stand without them.
+        left the region meanwhile: the others stand without them; margin: f32[K], metres, how well they do.
     """
 
     verdict: Array
@@ -166,6 +166,7 @@ class Piling(struct.PyTreeNode):
     num_beside: Array
     num_leaning: Array
     is_left_out: Array
+    margin: Array
 
 
 def small_length(metres: float) -> str:

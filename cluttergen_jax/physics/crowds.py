@@ -240,7 +240,11 @@ class Crowder(RestRounds):
         self.is_member[is_due] = self.asked.is_placed[is_due]
 
     def look_at_rest(self) -> None:
-        """See `RestRounds`; and counts what leans."""
+        """See `RestRounds`; and counts what leans, and looks how well each object is supported."""
         super().look_at_rest()
+        for row in np.flatnonzero(self.result.verdict == int(Verdict.STABLE)):
+            members = np.flatnonzero(self.is_member[row])
+            self.engine.probe.depths(self.poses[row], self.is_member[row])
+            self.result.margin[row, members] = self.engine.probe.margins(members)
         is_leaning = self._tilts(np.arange(len(self.poses)), self.poses) > LEANS
         self.result.num_leaning[:] = is_leaning.sum(1)

@@ -133,6 +133,7 @@ def empty_piling(xp: Any, batch: tuple[int, ...], num_objects: int) -> Piling:
         num_beside=zeros(xp.int32),
         num_leaning=zeros(xp.int32),
         is_left_out=zeros(xp.bool, num_objects),
+        margin=zeros(xp.float32, num_objects),
     )
 
 

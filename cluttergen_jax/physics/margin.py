@@ -216,9 +216,7 @@ class OverlapProbe:
       reach: metres of gap over which contacts are seen, for `beside`.
     """
 
-    def __init__(
-        self, layout: Layout, side_support: bool = False, reach: float = 0.0
-    ) -> None:
+    def __init__(self, layout: Layout, side_support: bool = False, reach: float = 0.0) -> None:
         self._layout = layout
         self._side_support = side_support
         self._model = layout.model

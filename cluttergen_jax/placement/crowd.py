@@ -59,7 +59,11 @@ def conclude(rules: Rules, episode: Episode, piling: Piling, is_due: Array) -> E
     is_well = _lies_well(rules, episode, piling) | ~stays
     is_related = _is_related(rules, episode, piling)
     verdict = piling.verdict
+    has_margin = is_well | True
+    if rules.config.min_margin:
+        has_margin = ~(stays & rules.lacks_margin(piling))
     complaints = (
+        (jnp.all(has_margin), Verdict.UNSUPPORTED),
         (jnp.all(is_well) & ~jnp.any(piling.is_left_out), Verdict.OUTSIDE),
         (is_related, Verdict.UNRELATED),
     )
@@ -84,8 +88,9 @@ def conclude(rules: Rules, episode: Episode, piling: Piling, is_due: Array) -> E
         support_graph=choose(stands, crowded, graph),
         counts=counts.replace(simulated_steps=counts.simulated_steps + num_steps),
     )
-    misplaced = jnp.where(verdict == Verdict.UNRELATED, _has_role(episode), ~is_well)
-    again = rules.place_again(after, misplaced | piling.is_left_out, 8)
+    misplaced = ~is_well | ~has_margin | piling.is_left_out
+    misplaced |= (verdict == Verdict.UNRELATED) & _has_role(episode)
+    again = rules.place_again(after, misplaced, 8)
     is_again = stands & ~is_success & ~rules.is_spent(again)
     return choose(is_due, choose(is_again, again, after), episode)
 

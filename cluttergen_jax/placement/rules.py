@@ -49,7 +49,7 @@ from cluttergen_jax.placement.types import (
     Transition,
     choose,
 )
-from cluttergen_jax.types import Array, Closing, Settling, Standing, Verdict
+from cluttergen_jax.types import Array, Closing, Piling, Settling, Standing, Verdict
 
 OWN_SHARE = 1 / 3
 """Of what a narrow object has on a flat table: so much support margin is asked of it at most. Of a round face
@@ -605,9 +605,13 @@ class Rules(struct.PyTreeNode, eq=False):
 
     def is_supported(self, episode: Episode, focus: Array, settling: Settling) -> Array:
         """Whether all that this episode placed, the focus object included, has the margin asked for; bool."""
-        own = self.geometry.own_margins_at(settling.poses)
+        return ~jnp.any(self._is_ours(episode, focus) & self.lacks_margin(settling))
+
+    def lacks_margin(self, rest: Settling | Piling) -> Array:
+        """Which objects have a smaller margin than is asked for, bool[K]; nothing of what is not placed."""
+        own = self.geometry.own_margins_at(rest.poses)
         asked = jnp.minimum(self.config.min_margin, OWN_SHARE * own)
-        return ~jnp.any(self._is_ours(episode, focus) & (settling.margin < asked))
+        return rest.margin < asked
 
     def _push(
         self, episode: Episode, action: Array, height_range: Array, settling: Settling
