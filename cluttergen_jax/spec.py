@@ -517,6 +517,7 @@ class SceneSpec(PlacementRequest):
         return ProblemConfig(
             pool=pool,
             objects=chosen,
+            named=tuple(name for name in self.objects if is_plain_name(name)),
             repeat=self.repeat,
             shelf=shelf,
             weights=weights,

@@ -60,7 +60,7 @@ class GeneratedBank(Bank):
     """A bank as `generate` leaves it; printed, it tells how well it went.
 
     Attributes:
-      notes: flagged objects, and a crowded region: said (stderr) before the first scene is made.
+      notes: flagged objects, those that find no room, and a crowded region: said (stderr) before the first scene is made.
       summary: successes, attempts and rejections.
       advice: what to try where few scenes succeed, else "".
       files_written: what was written beside the table, "" if nothing was.
@@ -187,6 +187,7 @@ def _notes(problem: Problem) -> Iterator[str]:
     world = problem.world
     number = problem.config.placement.num_objects
     crowded = crowding(world.objects, number, problem.region, area_of(world.support))
+    yield from (f"note: {note}" for note in problem.notes)
     for asset in {id(each): each for each in problem.world.objects}.values():
         if asset.flags:
             yield f"note: {asset.name}: {'; '.join(asset.flags)}"

@@ -31,7 +31,14 @@ from cluttergen_jax.placement.methods.baselines import costs_of_staying
 from cluttergen_jax.placement.orientations import MAX_RESTING, make_orientations
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
 from cluttergen_jax.placement.related import IN, relate_objects
-from cluttergen_jax.placement.room import check_crowding, check_number, check_room, check_surface
+from cluttergen_jax.placement.room import (
+    check_crowding,
+    check_left,
+    check_number,
+    check_room,
+    check_surface,
+    split_by_room,
+)
 from cluttergen_jax.placement.rules import Rules
 from cluttergen_jax.placement.search import (
     Candidates,
@@ -76,6 +83,8 @@ class ProblemConfig:
     Attributes:
       pool: a pool's name or folder.
       objects: names of the pool's objects to use; empty means all of them.
+      named: those of them that were asked for by name: what has no room in a container is refused where it
+        is one of them, and left out where it is not.
       repeat: allow duplicates when there are fewer than `placement.num_objects`.
       support: a support's name or folder; "table" is the paper's, "table-0.40x0.50" one of that size.
       surface: which of its surfaces objects are placed on; the first one if empty.
@@ -94,6 +103,7 @@ class ProblemConfig:
 
     pool: str = "dining"
     objects: tuple[str, ...] = ()
+    named: tuple[str, ...] = ()
     repeat: bool = False
     support: str = "table"
     surface: str = ""
@@ -117,12 +127,17 @@ class ProblemConfig:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Everything that is needed to place objects: see `make_problem`."""
+    """Everything that is needed to place objects: see `make_problem`.
+
+    Attributes:
+      notes: which objects were left out, and why.
+    """
 
     config: ProblemConfig
     world: World
     rules: Rules
     region: Rectangle
+    notes: tuple[str, ...] = ()
 
 
 def make_problem(
@@ -150,10 +165,15 @@ def make_problem(
     region = config.region or support.region
     check_region(region, support)
     check_number(config.placement.num_objects, len(chosen), config.pool, config.repeat)
+    number = len(chosen)
+    chosen, notes = split_by_room(chosen, config.named, support, region, config)
+    if len(chosen) < number:
+        check_left(config.placement.num_objects, chosen, notes, config.repeat)
+        config = replace(config, objects=tuple(each.name for each in chosen))
     check_surface(chosen, support, config.placement, config.contact, config.region is not None)
     check_room(chosen, support, region, config.placement, config.is_piled)
     check_crowding(chosen, config, support)
-    return compose(chosen, support, config, standing)
+    return replace(compose(chosen, support, config, standing), notes=notes)
 
 
 @dataclass(frozen=True)
