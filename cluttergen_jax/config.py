@@ -61,7 +61,7 @@ Balance = Literal["objects", "label", "synset", "licence", "source"]
 Containment = Literal["center", "footprint"]
 Overhang = Literal["any", "half", "none"]
 Height = Literal["rest", "free"]
-Poses = Literal["upright", "resting", "any"]
+Poses = Literal["upright", "resting", "usual", "any"]
 OtherEngine = Literal["drake", "pybullet", "isaac"]
 RelationKind = Literal[
     "on", "in", "next_to", "far_from", "left_of", "right_of", "in_front_of", "behind", "aligned"

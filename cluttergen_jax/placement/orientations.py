@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from cluttergen_jax.assets.height_profile import HeightProfile
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.settle import upright_turn
+from cluttergen_jax.assets.usual_poses import usual_weights
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.geometry import product, rotation_matrix, yaw_quaternion
 from cluttergen_jax.physics import make_physics
@@ -46,14 +47,17 @@ def make_orientations(
     Args:
       layout: the compiled world of these objects, in their order.
       kind: "resting": the resting poses of each, verified: released so, alone, in four turns, it is stable
-        and stays within 3 degrees. One is drawn as often as random releases end in it. "any": directions
-        spread evenly over the sphere, of which any may point up.
+        and stays within 3 degrees. One is drawn as often as random releases end in it. "usual": the same
+        ones, as often as people leave it so (`assets.usual_poses`). "any": directions spread evenly over
+        the sphere, of which any may point up.
       cut: makes columns.
     """
     engine = cast(BatchEngine, make_physics(layout, replace(stability, robust_tilt=0.0), "native"))
     lying = _stable_poses([_resting_poses(asset) for asset in objects], objects, layout, engine)
     engine.free()
     number = MAX_RESTING
+    if kind == "usual":
+        lying = [_left_usually(*each) for each in zip(objects, lying, strict=True)]
     if kind == "any":
         # Resting poses only tell how an object came to lie.
         number += NUM_SPREAD
@@ -89,6 +93,13 @@ def _resting_poses(asset: ObjectAsset) -> list[_Pose]:
     upright, *others = asset.resting
     kept = [upright, *sorted(others, key=lambda pose: -pose.likelihood)[: MAX_RESTING - 1]]
     return [_Pose(np.array(pose.quaternion), max(pose.likelihood, _LEAST_WEIGHT)) for pose in kept]
+
+
+def _left_usually(asset: ObjectAsset, poses: list[_Pose]) -> list[_Pose]:
+    """The poses with the weights of `usual_weights`."""
+    quaternions = np.array([pose.quaternion for pose in poses])
+    weights = usual_weights(asset, quaternions, np.array([pose.weight for pose in poses]))
+    return [replace(pose, weight=weight) for pose, weight in zip(poses, weights, strict=True)]
 
 
 def _stable_poses(

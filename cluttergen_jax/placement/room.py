@@ -35,6 +35,11 @@ MOST_CROWDED = 8.0
 `drop` fills 2 of 16 tables with ten of dining at 1.7, none at 4.2; only a stack of plates gets farther."""
 MOST_FULL = 1.0
 """Volume of the objects' hulls, in the mean, over that of what holds them, from which a pile is refused."""
+MOST_PACKED = 0.9
+"""Outlines' area over the region's, in the mean, from which a request is refused that nothing may be stacked
+for: no way of packing things of many shapes gets farther."""
+USUALLY_PACKED = 0.7
+"""Likewise, of nearly every draw: beyond, some draws find no room side by side."""
 USUALLY_FULL = 0.8
 """Likewise, of nearly every draw: the largest objects are left out until it is so. Of piles of 15 of all pools
 in a bin, 10 of 10 succeeded below 0.95, 8 of 17 from there to 1.3, 3 of 13 above."""
@@ -108,6 +113,8 @@ def check_crowding(
         _check_volume(objects, num_objects, region, depth)
         return
     area = area_asked(config, support)
+    if config.placement.most_stacked is not None and not config.shelf:
+        _check_side_by_side(objects, config, area or _area_of(region))
     crowded = crowding(objects, num_objects, region, area)
     if crowded <= MOST_CROWDED:
         return
@@ -119,6 +126,49 @@ def check_crowding(
         f"smallest ones' footprints cover {crowded:.1f} times its area",
         f"{MOST_CROWDED:g} times at most; beyond about once, scenes begin to fail",
         f"num_objects={most}, or a larger region" if most else "smaller objects or a larger region",
+    )
+
+
+def _area_of(region: Rectangle) -> float:
+    return 4 * float(np.prod(region.half_extents))
+
+
+def share_packed(
+    objects: Sequence[ObjectAsset], placement: PlacementConfig, area: float
+) -> tuple[float, float]:
+    """Outlines' area of what has to lie side by side, over the region's: in the mean, and of nearly every draw.
+
+    Outlines are convex, seen from above, and half the clearance wider.
+    """
+    outlines = [ConvexHull(asset.vertices[:, :2]) for asset in objects]
+    # Of an outline, `area` is the length and `volume` the area.
+    areas = np.array([each.volume + each.area * placement.clearance / 2 for each in outlines])
+    number = max(placement.num_objects - (placement.most_stacked or 0), 1)
+    return number * float(areas.mean()) / area, _nearly_every(areas, number) / area
+
+
+def _nearly_every(sizes: np.ndarray, number: int) -> float:
+    """What so many of the sizes f64[N] add up to at most in nearly every draw, none twice."""
+    share = max(len(sizes) - number, 0) / max(len(sizes) - 1, 1)
+    return number * float(sizes.mean()) + _NEARLY_EVERY * math.sqrt(number * share) * float(sizes.std())
+
+
+def _check_side_by_side(
+    objects: Sequence[ObjectAsset], config: ProblemConfig, area: float
+) -> None:
+    """Refuses more objects than find room side by side (ConfigError)."""
+    placement = config.placement
+    mean, _ = share_packed(objects, placement, area)
+    if mean <= MOST_PACKED:
+        return
+    stacked = placement.most_stacked or 0
+    number = placement.num_objects
+    most = int(MOST_PACKED / mean * max(number - stacked, 1)) + stacked
+    fewer = f"num_objects={most}, " if most else ""
+    raise ConfigError(
+        f"{number} objects side by side, whose outlines cover {mean:.1f} times the region in the mean",
+        f"{MOST_PACKED:g} times at most; beyond {USUALLY_PACKED:g}, scenes begin to fail",
+        f"{fewer}smaller objects, or a larger region",
     )
 
 
@@ -201,11 +251,7 @@ def _without_largest(
     ]
     is_kept = np.ones(len(objects), bool)
     while is_kept.sum() >= num_objects:
-        left = volumes[is_kept]
-        # A draw of some of them, none twice.
-        share = (len(left) - num_objects) / max(len(left) - 1, 1)
-        spread = math.sqrt(num_objects * share) * float(left.std())
-        if num_objects * left.mean() + _NEARLY_EVERY * spread <= USUALLY_FULL * room:
+        if _nearly_every(volumes[is_kept], num_objects) <= USUALLY_FULL * room:
             return [each for each, keeps in zip(objects, is_kept, strict=True) if keeps]
         if not order:
             break

@@ -15,7 +15,7 @@ from cluttergen_jax.placement.outlines import (
     reach_of,
 )
 from cluttergen_jax.placement.region import action_of_pose, from_pose, safe_poses
-from cluttergen_jax.placement.search import CLEARANCE, FORBIDDEN, Candidates
+from cluttergen_jax.placement.search import CLEARANCE, FORBIDDEN, Candidates, SearchScene
 from cluttergen_jax.placement.types import Episode
 from cluttergen_jax.types import Array
 
@@ -98,6 +98,14 @@ class Packed(LowestFit, eq=False):
         position = jnp.append(xy[best], height)
         action = action_of_pose(position, yaw[best], region, self.rules.height_range(episode))
         return jnp.where(allowed.any(), action, super().__call__(key_drop, episode))
+
+    def _is_allowed(self, scene: SearchScene, candidates: Candidates) -> Array:
+        """bool[N]: see `Search`; and the whole outline is in the region, so that nothing lies on a tray's rim."""
+        assert self.outlines is not None
+        corners = self.outlines.corners[scene.focus].reshape(-1, 2)
+        turned = jnp.stack(candidates.turned(corners), axis=-1) + candidates.xy[:, None]
+        is_within = jnp.all(jnp.abs(turned) <= scene.episode.region.half_extents, axis=(1, 2))
+        return super()._is_allowed(scene, candidates) & is_within
 
     def _standing(self, episode: Episode) -> tuple[Array, Array]:
         """f32[S, P, V, 2], corners of what stands on the same surface, region frame, and bool[S]."""
