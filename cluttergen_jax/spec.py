@@ -35,6 +35,7 @@ from cluttergen_jax.config import (
     stability_text,
 )
 from cluttergen_jax.errors import ConfigError, closest, range_text
+from cluttergen_jax.placement.arrangements import parse_arrangements
 from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.placement.config import (
     MAX_SLOTS,
@@ -109,6 +110,7 @@ class SceneOptions(TypedDict, total=False):
     poses: Poses
     relations: Sequence[str]
     roles: str | Mapping[str, str]
+    arrangements: Sequence[str]
     clearance: float | None
     method: Method | OwnProposer | str | None
     checkpoint: str | Path | None
@@ -178,17 +180,21 @@ class SceneSpec(PlacementRequest):
       height: from which `random` releases an object: "rest", 1 mm above its resting height on the bare top;
         or "free", anywhere in the region's range of heights.
       poses: how objects are released, turned about the vertical at random: "upright"; "resting", in any of
-        their resting poses, as often as they end in it when thrown; "usual", in any of those, as often as people
-        leave them so: mostly upright, flat things sometimes turned over, a bottle rarely on its side; or "any",
-        in any orientation.
+        their resting poses, as often as they end in it when thrown; "usual", in those, as often as people leave
+        them so: mostly upright, flat things sometimes turned over, a bottle rarely on its side; or "any", in
+        any orientation.
       relations: what must hold in every scene (methods "guided", "spread"): "mug on book", "apple in bowl",
         "fork left_of plate", "cup next_to bottle:0.05", "knife aligned fork". There are on, under, in,
         next_to, far_from, left_of, right_of, in_front_of, behind (with metres of gap if wanted) and aligned.
         A name is an object's, a role's or "any"; the same name is the same object.
       roles: names in relations and the condition of the objects that each may stand for, as those of
         `objects`: "plate_1=plate*; plate_2=plate*". In Python also a mapping.
-      clearance: metres between the boxes of objects, and to the region's sides, that "packed" leaves; 0.003
-        if not given.
+      arrangements: what people make of equal things, with how many (3 if not given; methods "guided",
+        "spread"): "row label=*book*:4", upright side by side, on shelves against the back; "stack plate*:3",
+        one upon the other; "nest bowl", one inside of the other. The objects are told as those of `objects`;
+        where a pool has one of them, `repeat` gives more.
+      clearance: metres between the outlines of objects, and to the region's sides, that "packed" leaves;
+        0.003 if not given.
       method: who proposes poses: "guided", "spread", "drop", "clear", "random", or a policy trained for the
         pool: "policy", "beta_free", "normal", "open_loop" or "short_memory"; "packed": upright, side by side,
         on others only as many as `clutter` allows by stack; or "pile": all objects fall into a heap, in any
@@ -269,20 +275,21 @@ class SceneSpec(PlacementRequest):
         if self.stability is not None:
             text = stability_text(stability_of(self.stability))
             object.__setattr__(self, "stability", text or None)
-        if self.start is not None and (self.relations or self.roles):
-            given = "`relations` with a scene to start from"
+        check_names(self.arrangements, "arrangements")
+        if self.start is not None and (self.relations or self.roles or self.arrangements):
+            given = "`relations` or `arrangements` with a scene to start from"
             raise ConfigError(given, "one or the other", "leaving out `start`")
         # Equal requests are equal, and can be hashed, whatever kind of sequence or path was given.
-        for name in ("objects", "exclude", "keep_out", "relations"):
+        for name in ("objects", "exclude", "keep_out", "relations", "arrangements"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         for name in ("pool", "support"):
             object.__setattr__(self, name, str(getattr(self, name)))
         if self.clutter is not None:
             object.__setattr__(self, "clutter", Clutter.of(self.clutter))
         # With no number of objects yet, a budget for one is enough; of too many, the pool says what it has.
-        least = max(
-            1, len(conditions_of(parse_roles(str(self.roles)), parse_relations(self.relations)))
-        )
+        arranged = sum(each.number for each in parse_arrangements(self.arrangements))
+        related = conditions_of(parse_roles(str(self.roles)), parse_relations(self.relations))
+        least = max(1, len(related) + arranged)
         self._placement(least if self.num_objects is None else min(self.num_objects, MAX_SLOTS))
 
     @classmethod
@@ -570,8 +577,8 @@ class SceneSpec(PlacementRequest):
             raise ConfigError(given, range_text(1, shelf), hint)
         drawn = "with a shelf of objects that each block draws"
         fewer = "fewer `objects` and no `shelf`"
-        if self.relations or self.roles:
-            raise ConfigError(f"`relations` {drawn}", "one or the other", fewer)
+        if self.relations or self.roles or self.arrangements:
+            raise ConfigError(f"`relations` or `arrangements` {drawn}", "one or the other", fewer)
         if self.start is not None:
             raise ConfigError(f"`start` {drawn}", "no start", "fewer `objects`, without a shelf")
         if self.repeat:

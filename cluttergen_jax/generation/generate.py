@@ -60,7 +60,8 @@ class GeneratedBank(Bank):
     """A bank as `generate` leaves it; printed, it tells how well it went.
 
     Attributes:
-      notes: flagged objects, those that find no room, and a crowded region: said (stderr) before the first scene is made.
+      notes: flagged objects, those that find no room, and a crowded region: said (stderr) before the first
+        scene is made.
       summary: successes, attempts and rejections.
       advice: what to try where few scenes succeed, else "".
       files_written: what was written beside the table, "" if nothing was.
@@ -196,8 +197,8 @@ def _notes(problem: Problem) -> Iterator[str]:
         _, most = share_packed(world.objects, placement, area)
         if most > USUALLY_PACKED:
             yield (
-                f"note: it is tight: the outlines of some draws cover {most:.2f} of the region, and not all of "
-                "them find room side by side"
+                f"note: it is tight: the outlines of some draws cover {most:.2f} of the region, where not all "
+                "objects find room side by side"
             )
     if crowded > 1:
         yield f"note: it is tight: the smallest objects alone cover {crowded:.1f} times the region's area"

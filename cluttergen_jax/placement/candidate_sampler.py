@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from cluttergen_jax.placement.arranged_places import ArrangedPlaces
 from cluttergen_jax.placement.boxes import Boxes, footprint_area
 from cluttergen_jax.placement.containers import openings_of
 from cluttergen_jax.placement.features import (
@@ -140,7 +141,13 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
             noise += logits
         # Whoever is trusted comes before all others, and among the others the most trusted.
         rank = jnp.where(trust >= asked, 2.0 + noise - jnp.min(noise), trust)
-        return candidates.found.action[jnp.argmax(rank)]
+        action = candidates.found.action[jnp.argmax(rank)]
+        related = self.search.rules.related
+        if related is None or not related.is_arranged:
+            return action
+        places = ArrangedPlaces(self.search, related)
+        arranged, is_next = places(jax.random.fold_in(key, 7), episode)
+        return jnp.where(is_next, arranged, action)
 
     @property
     def is_tilted(self) -> bool:

@@ -9,8 +9,14 @@ from typing import TYPE_CHECKING, get_args
 
 from cluttergen_jax.config import Containment, Height, Order, Overhang, Poses, Reward
 from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.placement.arrangements import parse_arrangements, roles_and_relations
 from cluttergen_jax.placement.clutter import Clutter
-from cluttergen_jax.placement.relations import conditions_of, parse_relations, parse_roles
+from cluttergen_jax.placement.relations import (
+    Relation,
+    conditions_of,
+    parse_relations,
+    parse_roles,
+)
 
 if TYPE_CHECKING:
     from cluttergen_jax.schema import Record
@@ -75,6 +81,7 @@ class PlacementRequest:
     poses: Poses = "upright"
     relations: Sequence[str] = ()
     roles: str | Mapping[str, str] | tuple[tuple[str, str], ...] = ""
+    arrangements: Sequence[str] = ()
     clearance: float | None = None
 
 
@@ -172,13 +179,27 @@ class PlacementConfig(PlacementRequest):
         related = parse_relations(self.relations)
         object.__setattr__(self, "relations", tuple(map(str, related)))
         object.__setattr__(self, "roles", parse_roles(dict(self.roles)))
-        names = conditions_of(self.roles, related)
+        arranged = parse_arrangements(self.arrangements)
+        object.__setattr__(self, "arrangements", tuple(map(str, arranged)))
+        names = conditions_of(self.all_roles, self.all_relations)
         if len(names) > self.num_objects:
             raise ConfigError(
-                f"{len(names)} objects in relations ({', '.join(names)}) of scenes of {self.num_objects}",
+                f"{len(names)} objects in relations and arrangements ({', '.join(names)}) of scenes of "
+                f"{self.num_objects}",
                 f"up to {self.num_objects}",
                 f"num_objects={len(names)}",
             )
+
+    @property
+    def all_roles(self) -> tuple[tuple[str, str], ...]:
+        """Each name with its condition, those of arrangements included."""
+        return (*self.roles, *roles_and_relations(parse_arrangements(self.arrangements))[0])
+
+    @property
+    def all_relations(self) -> tuple[Relation, ...]:
+        """The relations, those within arrangements included."""
+        arranged = roles_and_relations(parse_arrangements(self.arrangements))[1]
+        return (*parse_relations(self.relations), *arranged)
 
     @property
     def max_scene_attempts(self) -> int:

@@ -15,10 +15,12 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.settle import upright_turn
 from cluttergen_jax.assets.usual_poses import usual_weights
 from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import product, rotation_matrix, yaw_quaternion
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import BatchEngine
 from cluttergen_jax.physics.layout import Layout
+from cluttergen_jax.placement.arranged import row_quaternions
 from cluttergen_jax.placement.types import Orientations
 from cluttergen_jax.placement.world import own_margin_of, pad_rows, surface_runs
 from cluttergen_jax.types import Verdict
@@ -41,6 +43,8 @@ def make_orientations(
     stability: StabilityConfig,
     kind: str,
     cut: Callable[[ObjectAsset], HeightProfile],
+    is_in_row: Sequence[bool] | None = None,
+    free: float = np.inf,
 ) -> Orientations:
     """The orientations in which objects may be released, upright first; NumPy arrays.
 
@@ -51,11 +55,24 @@ def make_orientations(
         ones, as often as people leave it so (`assets.usual_poses`). "any": directions spread evenly over
         the sphere, of which any may point up.
       cut: makes columns.
+      is_in_row: of each object, whether it may stand in a row; None where there are no rows. How it does is
+        one more orientation, which is not drawn.
+      free: metres, below which what stands in a row is.
+
+    Raises:
+      ConfigError: one of those does not stand so by itself.
     """
     engine = cast(BatchEngine, make_physics(layout, replace(stability, robust_tilt=0.0), "native"))
-    lying = _stable_poses([_resting_poses(asset) for asset in objects], objects, layout, engine)
+    recorded = [_resting_poses(asset) for asset in objects]
+    if kind == "upright":
+        lying = [poses[:1] for poses in recorded]
+    else:
+        lying = _stable_poses(recorded, objects, layout, engine)
+    standing = None
+    if is_in_row is not None:
+        standing = _poses_in_row(objects, is_in_row, free, layout, engine)
     engine.free()
-    number = MAX_RESTING
+    number = 1 if kind == "upright" else MAX_RESTING
     if kind == "usual":
         lying = [_left_usually(*each) for each in zip(objects, lying, strict=True)]
     if kind == "any":
@@ -63,11 +80,53 @@ def make_orientations(
         number += NUM_SPREAD
         spread = [_Pose(_quaternion_of(upright_turn(up)), 1.0) for up in _spread()]
         lying = [[*(replace(pose, weight=0.0) for pose in poses), *spread] for poses in lying]
+    in_row = None
+    if standing is not None:
+        in_row = np.array([0 if pose is None else number for pose in standing], np.int32)
+        own = [_Pose(poses[0].quaternion, 0.0) for poses in lying]
+        # What is missing before it is the object's own frame once more.
+        lying = [
+            [*poses, *[mine] * (number - len(poses)), mine if pose is None else pose]
+            for poses, mine, pose in zip(lying, own, standing, strict=True)
+        ]
+        number += 1
     bodies = [
         [_Body.of(asset, pose, cut) for pose in poses]
         for asset, poses in zip(objects, lying, strict=True)
     ]
-    return _stack(bodies, number)
+    return _stack(bodies, number).replace(in_row=in_row)
+
+
+def _poses_in_row(
+    objects: Sequence[ObjectAsset],
+    is_in_row: Sequence[bool],
+    free: float,
+    layout: Layout,
+    engine: BatchEngine,
+) -> list[_Pose | None]:
+    """How each object stands in a row, verified as a resting pose is; None for those that never do."""
+    tried = [
+        [_Pose(each, 0.0) for each in row_quaternions(asset, free)] if asked else []
+        for asset, asked in zip(objects, is_in_row, strict=True)
+    ]
+    settled = _settle(tried, objects, layout, engine, _SAME)
+    # As it was turned, not as it came to rest, its thin side is along x.
+    found = [
+        next((pose for pose, after in zip(before, ended, strict=True) if after.is_stable), None)
+        for before, ended in zip(tried, settled, strict=True)
+    ]
+    fallen = [
+        asset.name
+        for asset, asked, pose in zip(objects, is_in_row, found, strict=True)
+        if asked and pose is None
+    ]
+    if fallen:
+        raise ConfigError(
+            f"a row with {', '.join(dict.fromkeys(fallen))}, which does not stand upright by itself there",
+            "objects that stand on a narrow side, below what hangs over the surface",
+            "other objects, or exclude=" + repr(tuple(dict.fromkeys(fallen))),
+        )
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -107,7 +107,7 @@ def opposite(of_directions: Array, axis: int) -> Array:
 
 
 class Obstacles(struct.PyTreeNode):
-    """Where the origin of an object may not be, seen from above, for each of Y turns of it. J pairs of pieces.
+    """Where the origin of an object may not be, seen from above, by Y turns of it. J pairs of pieces.
 
     Attributes:
       bound: f32[Y, J, D]: a place is free of a pair where it is beyond this along some direction, metres.
@@ -148,7 +148,7 @@ class Obstacles(struct.PyTreeNode):
         return jnp.min(self.gap(turn, xy)[0], axis=1)
 
     def way_free(self, turn: Array, xy: Array, way: Array, clearance: float) -> Array:
-        """f32[N], metres: how far an object can go along a unit vector f32[2] until it is a clearance away."""
+        """f32[N], metres: how far an object can go along a unit vector f32[2] up to a clearance."""
         ways = jnp.asarray(directions(), jnp.float32)
         beyond = (xy @ ways.T)[:, None] - self.bound[turn] - clearance
         speed = ways @ way
@@ -166,7 +166,9 @@ class Obstacles(struct.PyTreeNode):
         pieces = self.face.shape[1]
         pair = jnp.arange(gap.shape[1])
         of_other = self.face[pair // pieces**2, pair // pieces % pieces]
-        own = self.own_face[turn[:, None], pair % pieces, (way + NUM_DIRECTIONS // 2) % NUM_DIRECTIONS]
+        own = self.own_face[
+            turn[:, None], pair % pieces, (way + NUM_DIRECTIONS // 2) % NUM_DIRECTIONS
+        ]
         other = of_other[pair, way]
         ways = jnp.asarray(directions(), jnp.float32)
         across = jnp.stack([-ways[:, 1], ways[:, 0]], axis=1)[way]

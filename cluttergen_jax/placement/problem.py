@@ -19,7 +19,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import Pool, find_pool
 from cluttergen_jax.assets.support import Rectangle, Ring, SupportAsset, cuboid_table
 from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.assets.support_map import VOID, check_keep_out, check_region
+from cluttergen_jax.assets.support_map import VOID, check_keep_out, check_region, rim_height
 from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.physics import make_physics
@@ -30,8 +30,9 @@ from cluttergen_jax.placement.heightmap import HeightMap, make_support_map
 from cluttergen_jax.placement.methods.baselines import costs_of_staying
 from cluttergen_jax.placement.orientations import MAX_RESTING, make_orientations
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
-from cluttergen_jax.placement.related import IN, relate_objects
+from cluttergen_jax.placement.related import IN, RelatedObjects, relate_objects
 from cluttergen_jax.placement.room import (
+    ROOM,
     check_crowding,
     check_left,
     check_number,
@@ -211,7 +212,7 @@ def compose(
     if wanted > len(objects):
         objects = repeat_objects(objects, wanted)
     objects, related = relate_objects(objects, config.placement, config.repeat)
-    if related is not None and len(support.asked) > 1:
+    if (config.placement.relations or config.placement.roles) and len(support.asked) > 1:
         given = "`relations` with several surfaces, between which objects are spread"
         raise ConfigError(given, "one `surface`", f"surface={support.asked[0][0].name!r}")
     region = config.region or support.region
@@ -221,7 +222,9 @@ def compose(
         )
     cut = columns_of if sizes is None else sizes.cut
     world = make_world([*objects, *standing], support, config.stability, config.contact, cut)
-    orientations = _orientations_of(world, config, cut)
+    if related is not None and related.is_arranged:
+        related = related.replace(is_against_back=has_back(region, support))
+    orientations = _orientations_of(world, config, cut, related)
     geometry = geometry_of(world, orientations)
     asked = None if clutter is None else clutter.contained
     if asked is not None or (related is not None and bool(jnp.any(related.kind == IN))):
@@ -259,19 +262,34 @@ def compose(
     return Problem(config, world, rules, region)
 
 
+def has_back(region: Rectangle, support: SupportAsset) -> bool:
+    """Whether a region is within walls, or below a board: rows stand against its back there."""
+    free = min((surface.free_height for surface, _ in support.asked), default=math.inf)
+    return math.isfinite(free) or rim_height(region, support) > 0
+
+
 def _orientations_of(
-    world: World, config: ProblemConfig, cut: Callable[[ObjectAsset], HeightProfile]
+    world: World,
+    config: ProblemConfig,
+    cut: Callable[[ObjectAsset], HeightProfile],
+    related: RelatedObjects | None,
 ) -> Orientations | None:
-    """In which a world's objects are released; None where all are upright."""
+    """In which a world's objects are released; None where all are upright as they are."""
     kind = config.placement.poses
-    if kind == "upright":
+    is_in_row = None
+    if related is not None and related.is_arranged and related.in_row.any():
+        is_in_row = np.pad(related.in_row, (0, world.num_objects - len(related.in_row))).tolist()
+    if kind == "upright" and is_in_row is None:
         return None
     layout = world.layout
     if world.support.named:
         # Resting poses are those on a level table with room above it.
         table = cuboid_table()
         layout = compile_layout(world.names, world.objects, table, config.stability, config.contact)
-    return make_orientations(world.objects, layout, config.stability, kind, cut)
+    free = min((surface.free_height for surface, _ in world.support.asked), default=math.inf)
+    return make_orientations(
+        world.objects, layout, config.stability, kind, cut, is_in_row, free - ROOM
+    )
 
 
 def _on_surfaces(rules: Rules, region: Rectangle, support: SupportAsset, world: World) -> Rules:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,8 @@ from flax import struct
 from cluttergen_jax.assets.facts import ObjectFacts
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.placement.arranged import able_objects, hold_arranged, is_arranged
+from cluttergen_jax.placement.arrangements import ALL_KINDS, ARRANGED, NEST, ROW, STACK
 from cluttergen_jax.placement.boxes import Boxes, gaps, is_over
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.containers import is_in, openings_of
@@ -24,7 +26,6 @@ from cluttergen_jax.placement.relations import (
     candidates_of,
     conditions_of,
     order_of,
-    parse_relations,
 )
 from cluttergen_jax.placement.types import Episode, Geometry, choose
 from cluttergen_jax.placement.world import MAX_OBJECTS
@@ -57,7 +58,9 @@ class RelatedObjects(struct.PyTreeNode):
       turn: i32[Q], in which order roles are given: those that few objects can take first.
       possible: i32[Q], objects that take all roles together, for draws that end in a dead end.
       subject, reference: i32[R], roles; the reference is Q for the table.
-      kind: i32[R], of `relations.KINDS`; gap: f32[R], metres.
+      kind: i32[R], of `arrangements.ALL_KINDS`; gap: f32[R], metres.
+      is_arranged: whether there are rows, stacks or nests among them.
+      is_against_back: rows stand before the back of a shelf.
     """
 
     candidates: Array
@@ -67,14 +70,20 @@ class RelatedObjects(struct.PyTreeNode):
     reference: Array
     kind: Array
     gap: Array
+    is_arranged: bool = struct.field(pytree_node=False, default=False)
+    is_against_back: bool = struct.field(pytree_node=False, default=False)
 
     @staticmethod
     def of(
         relations: Sequence[Relation],
         roles: Sequence[tuple[str, str]],
         facts: Sequence[ObjectFacts],
+        able: Mapping[str, np.ndarray] | None = None,
     ) -> RelatedObjects:
         """For a world of objects.
+
+        Args:
+          able: bool[K] of roles, the objects that can do what an arrangement asks of them.
 
         Raises:
           ConfigError: a role fits no object, or there are not enough different objects for all roles.
@@ -84,7 +93,7 @@ class RelatedObjects(struct.PyTreeNode):
         conditions = conditions_of(roles, relations)
         placed = order_of(relations)
         names = [*placed, *(name for name in conditions if name not in placed)]
-        candidates = candidates_of({name: conditions[name] for name in names}, facts)
+        candidates = _able_of({name: conditions[name] for name in names}, facts, able or {})
         if not can_be_filled(candidates):
             raise ConfigError(
                 f"{len(names)} roles ({', '.join(names)}), for which the objects do not suffice",
@@ -98,9 +107,27 @@ class RelatedObjects(struct.PyTreeNode):
             possible=jnp.asarray(linear_sum_assignment(~candidates)[1], jnp.int32),
             subject=jnp.array([number[each.subject] for each in relations], jnp.int32),
             reference=jnp.array([number[each.reference] for each in relations], jnp.int32),
-            kind=jnp.array([KINDS.index(each.kind) for each in relations], jnp.int32),
+            kind=jnp.array([ALL_KINDS.index(each.kind) for each in relations], jnp.int32),
             gap=jnp.array([each.gap for each in relations], jnp.float32),
+            is_arranged=any(each.kind in ARRANGED for each in relations),
         )
+
+    @property
+    def in_row(self) -> np.ndarray:
+        """bool[K]: the objects that may stand in a row; outside `jit`."""
+        subject = np.asarray(self.subject)[np.asarray(self.kind) == ROW]
+        return np.asarray(self.candidates)[subject].any(0)
+
+    def dependence(self, objects: Array) -> Array:
+        """bool[K, K], row k: what object k was put beside or upon by an arrangement.
+
+        Args:
+          objects: i32[Q], of each role.
+        """
+        subject, reference, is_table = self.ends(objects)
+        number = self.candidates.shape[1]
+        depends = is_arranged(self.kind) & ~is_table
+        return jnp.zeros((number, number), bool).at[subject, reference].max(depends)
 
     @property
     def num_roles(self) -> int:
@@ -164,18 +191,31 @@ def relate_objects(
     Raises:
       ConfigError: a role fits no object, or there are too few.
     """
-    relations = parse_relations(config.relations)
-    roles = config.roles
+    relations = config.all_relations
+    roles = config.all_roles
     if not relations and not roles:
         return objects, None
     conditions = conditions_of(roles, relations)
     facts = [ObjectFacts.of(each) for each in objects]
+    able = able_objects(objects, facts, config.arrangements) if config.arrangements else {}
     copies = 1
     while may_repeat and (copies + 1) * len(objects) <= MAX_OBJECTS:
-        if can_be_filled(candidates_of(conditions, facts * copies)):
+        if can_be_filled(_able_of(conditions, facts * copies, able)):
             break
         copies += 1
-    return (*objects,) * copies, RelatedObjects.of(relations, roles, facts * copies)
+    related = RelatedObjects.of(relations, roles, facts * copies, able)
+    return (*objects,) * copies, related
+
+
+def _able_of(
+    conditions: Mapping[str, str], facts: Sequence[ObjectFacts], able: Mapping[str, np.ndarray]
+) -> np.ndarray:
+    """bool[Q, K]: which of K objects can take which role; `able` is of the first of their copies."""
+    found = candidates_of(conditions, facts)
+    for row, name in zip(found, conditions, strict=True):
+        if name in able:
+            row &= np.tile(able[name], len(facts) // len(able[name]))
+    return found
 
 
 def hold(
@@ -216,7 +256,12 @@ def hold(
         "aligned": _is_aligned(related, subjects, references, turn),
     }
     table = jnp.stack([by_kind[kind] for kind in KINDS])
-    return table[related.kind, jnp.arange(len(related.kind))]
+    holds = table[related.kind, jnp.arange(len(related.kind))]
+    if not related.is_arranged:
+        return holds
+    is_table = related.reference == related.num_roles
+    arranged = hold_arranged(related.kind, subjects, references, region, is_table)
+    return jnp.where(is_arranged(related.kind), arranged, holds)
 
 
 def _alone(box: Boxes) -> Boxes:
@@ -319,5 +364,8 @@ def carriers_of(related: RelatedObjects, episode: Episode, focus: Array) -> Arra
     assert episode.roles is not None
     is_placed = episode.is_placed
     is_subject, _, other, _ = related.pairs(episode.roles, focus)
-    wanted = is_subject & (related.kind == ON) & is_placed[other]
+    carried = related.kind == ON
+    if related.is_arranged:
+        carried |= (related.kind == STACK) | (related.kind == NEST)
+    wanted = is_subject & carried & is_placed[other]
     return jnp.zeros_like(is_placed).at[other].max(wanted)

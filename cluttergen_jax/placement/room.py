@@ -41,8 +41,8 @@ for: no way of packing things of many shapes gets farther."""
 USUALLY_PACKED = 0.7
 """Likewise, of nearly every draw: beyond, some draws find no room side by side."""
 USUALLY_FULL = 0.8
-"""Likewise, of nearly every draw: the largest objects are left out until it is so. Of piles of 15 of all pools
-in a bin, 10 of 10 succeeded below 0.95, 8 of 17 from there to 1.3, 3 of 13 above."""
+"""Likewise, of nearly every draw: the largest objects are left out until it is so. Of piles of 15 of all
+pools in a bin, 10 of 10 succeeded below 0.95, 8 of 17 from there to 1.3, 3 of 13 above."""
 _NEARLY_EVERY = 1.3
 """Standard deviations of a draw's volume above its mean: nine of ten draws are below."""
 ROOM = 0.003
@@ -136,7 +136,7 @@ def _area_of(region: Rectangle) -> float:
 def share_packed(
     objects: Sequence[ObjectAsset], placement: PlacementConfig, area: float
 ) -> tuple[float, float]:
-    """Outlines' area of what has to lie side by side, over the region's: in the mean, and of nearly every draw.
+    """Outlines' area of what lies side by side, over the region's: in the mean, and of nearly every draw.
 
     Outlines are convex, seen from above, and half the clearance wider.
     """
@@ -150,12 +150,12 @@ def share_packed(
 def _nearly_every(sizes: np.ndarray, number: int) -> float:
     """What so many of the sizes f64[N] add up to at most in nearly every draw, none twice."""
     share = max(len(sizes) - number, 0) / max(len(sizes) - 1, 1)
-    return number * float(sizes.mean()) + _NEARLY_EVERY * math.sqrt(number * share) * float(sizes.std())
+    return number * float(sizes.mean()) + _NEARLY_EVERY * math.sqrt(number * share) * float(
+        sizes.std()
+    )
 
 
-def _check_side_by_side(
-    objects: Sequence[ObjectAsset], config: ProblemConfig, area: float
-) -> None:
+def _check_side_by_side(objects: Sequence[ObjectAsset], config: ProblemConfig, area: float) -> None:
     """Refuses more objects than find room side by side (ConfigError)."""
     placement = config.placement
     mean, _ = share_packed(objects, placement, area)
@@ -204,7 +204,7 @@ def split_by_room(
     region: Rectangle,
     config: ProblemConfig,
 ) -> tuple[list[ObjectAsset], tuple[str, ...]]:
-    """The objects that find room, and what is said of those that are left out: too large for walls, or a pile.
+    """The objects that find room, and what is said of those that are left out.
 
     Of a pile between walls the largest are left out until nearly every draw fills at most `USUALLY_FULL` of
     what holds it, unless too few would be left.
@@ -246,9 +246,7 @@ def _without_largest(
     All of them where there would be fewer than are drawn.
     """
     volumes = np.array([_hull_volume(asset) for asset in objects])
-    order = [
-        index for index in np.argsort(-volumes).tolist() if objects[index].name not in named
-    ]
+    order = [index for index in np.argsort(-volumes).tolist() if objects[index].name not in named]
     is_kept = np.ones(len(objects), bool)
     while is_kept.sum() >= num_objects:
         if _nearly_every(volumes[is_kept], num_objects) <= USUALLY_FULL * room:

@@ -16,6 +16,7 @@ from flax import struct
 
 from cluttergen_jax.physics.host import NumberedEngines, Physics
 from cluttergen_jax.physics.standing import has_moved
+from cluttergen_jax.placement.arrangements import NEST, ROW, STACK
 from cluttergen_jax.placement.boxes import footprint_area
 from cluttergen_jax.placement.config import MAX_MARGIN, ORDER_POWER, PlacementConfig
 from cluttergen_jax.placement.containers import draw_contents
@@ -164,6 +165,9 @@ def remove(
     """
     is_mine = episode.is_placed & ~episode.is_started
     leans_on = episode.support_graph.leans_on & is_mine[:, None]
+    if related is not None and related.is_arranged and episode.roles is not None:
+        # What was put beside or upon a thing has lost its place with it.
+        leans_on |= related.dependence(episode.roles) & is_mine[:, None]
     which = supported_by(which & is_mine, leans_on)
     slots = jnp.arange(len(episode.object_index))
     index = jnp.maximum(episode.object_index, 0)
@@ -415,8 +419,26 @@ class Rules(struct.PyTreeNode, eq=False):
         """The episode with an orientation drawn for its current object, where not all are upright."""
         if self.geometry.orientations is None:
             return episode
-        drawn = self.geometry.orientations.draw(key, self.focus(episode))
+        focus = self.focus(episode)
+        drawn = self.geometry.orientations.draw(key, focus)
+        if self.related is not None and self.related.is_arranged:
+            drawn = self._arranged_orientation(self.related, episode, focus, drawn)
         return episode.replace(orientation=drawn)
+
+    def _arranged_orientation(
+        self, related: RelatedObjects, episode: Episode, focus: Array, drawn: Array
+    ) -> Array:
+        """i32: as it stands in a row, upright in a stack or a nest, else the one that was drawn."""
+        orientations = self.geometry.orientations
+        assert episode.roles is not None
+        assert orientations is not None
+        is_subject, is_reference, _, _ = related.pairs(episode.roles, focus)
+        kind = jnp.where(is_subject | is_reference, related.kind, -1)
+        is_upright = jnp.any((kind == STACK) | (kind == NEST))
+        drawn = jnp.where(is_upright, 0, drawn)
+        if orientations.in_row is None:
+            return drawn
+        return jnp.where(jnp.any(kind == ROW), orientations.in_row[focus], drawn)
 
     def _with_surface(self, episode: Episode, key: Array) -> Episode:
         """The episode with a surface drawn for its current object, where there are several."""
@@ -430,6 +452,10 @@ class Rules(struct.PyTreeNode, eq=False):
             assert self.config.clutter is not None
             asked = self.config.clutter.contained or 0
             drawn = self.surfaces.beside_container(key, episode, focus, self.geometry, asked, drawn)
+        if self.related is not None and episode.roles is not None:
+            # The next of an arrangement goes where the one before is.
+            before = self.related.dependence(episode.roles)[focus] & episode.is_placed
+            drawn = jnp.where(jnp.any(before), episode.surface[jnp.argmax(before)], drawn)
         own = jnp.where(episode.is_placed[focus], episode.surface[focus], drawn)
         surface = episode.surface.at[focus].set(own)
         return episode.replace(surface=surface, region=self.surfaces.region(drawn))

@@ -183,16 +183,14 @@ def _large_ones(
     free = max((surface.free_height for surface, _ in support.asked), default=math.inf)
     short = 2 * min(region.half_extents)
     return [
-        each.name
-        for each in facts
-        if math.hypot(*each.size) > short or each.size[2] + ROOM > free
+        each.name for each in facts if math.hypot(*each.size) > short or each.size[2] + ROOM > free
     ]
 
 
 def _with_room(
     pool: Pool, config: ProblemConfig, support: SupportAsset, region: Rectangle
 ) -> tuple[Pool, tuple[str, ...]]:
-    """The pool without those that no container holds, but for those that were asked for by name, and notes."""
+    """The pool without what no container holds and was not asked for by name, and notes."""
     large = [pool[name] for name in _large_ones(pool.facts, support, region)]
     kept, notes = split_by_room(large, config.named, support, region, config)
     if not notes:

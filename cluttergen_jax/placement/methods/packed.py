@@ -78,7 +78,9 @@ class Packed(LowestFit, eq=False):
             return jnp.linalg.norm(xy - corner * room, axis=1) / (2 * jnp.linalg.norm(room))
 
         def is_free(turn: Array, xy: Array) -> Array:
-            is_within = jnp.all((xy >= low[turn] - _ROUNDING) & (xy <= high[turn] + _ROUNDING), axis=1)
+            is_within = jnp.all(
+                (xy >= low[turn] - _ROUNDING) & (xy <= high[turn] + _ROUNDING), axis=1
+            )
             return is_within & (obstacles.least_gap(turn, xy) >= clearance - _ROUNDING)
 
         rank = cost_of_corner(xy) + _SHY * jax.random.uniform(key_slide, turn.shape)
@@ -100,7 +102,7 @@ class Packed(LowestFit, eq=False):
         return jnp.where(allowed.any(), action, super().__call__(key_drop, episode))
 
     def _is_allowed(self, scene: SearchScene, candidates: Candidates) -> Array:
-        """bool[N]: see `Search`; and the whole outline is in the region, so that nothing lies on a tray's rim."""
+        """bool[N]: see `Search`; and the outline is wholly in the region: nothing lies on a tray's rim."""
         assert self.outlines is not None
         corners = self.outlines.corners[scene.focus].reshape(-1, 2)
         turned = jnp.stack(candidates.turned(corners), axis=-1) + candidates.xy[:, None]
@@ -191,7 +193,9 @@ def _slide(
     end = jnp.where(signs > 0, high, low)
 
     def go(xy: Array, way: Array) -> tuple[Array, None]:
-        left = jnp.where(jnp.abs(way) > 0, (end - xy) * signs / jnp.maximum(jnp.abs(way), 1e-6), jnp.inf)
+        left = jnp.where(
+            jnp.abs(way) > 0, (end - xy) * signs / jnp.maximum(jnp.abs(way), 1e-6), jnp.inf
+        )
         free = obstacles.way_free(turn, xy, way, clearance)
         length = jnp.maximum(jnp.minimum(free, jnp.min(left, axis=1)), 0.0)
         return xy + length[:, None] * way, None
@@ -199,9 +203,7 @@ def _slide(
     return jax.lax.scan(go, xy, jnp.stack(ways * _ROUNDS))[0]
 
 
-def _beside_walls(
-    obstacles: Obstacles, turn: Array, xy: Array, low: Array, high: Array
-) -> Array:
+def _beside_walls(obstacles: Obstacles, turn: Array, xy: Array, low: Array, high: Array) -> Array:
     """f32[N], metres: the length of the outline that is next to the region's sides."""
     face = obstacles.own_face
     length = jnp.max(face[..., 1], axis=1) - jnp.min(face[..., 0], axis=1)

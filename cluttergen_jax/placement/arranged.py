@@ -1,0 +1,218 @@
+"""Rows, stacks and nests: which objects can be in one, whether they are, and how many of a scene are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from cluttergen_jax.assets.facts import ObjectFacts, parse_condition
+from cluttergen_jax.assets.object import ObjectAsset
+from cluttergen_jax.errors import ConfigError, first_names
+from cluttergen_jax.geometry import rotation_matrix
+from cluttergen_jax.physics.margin import support_margin
+from cluttergen_jax.placement.arrangements import NEST, ROW, STACK, parse_arrangements
+from cluttergen_jax.placement.boxes import Boxes, reach_up
+from cluttergen_jax.placement.region import Region
+from cluttergen_jax.placement.world import columns_of, own_margin_of
+from cluttergen_jax.types import Array
+
+MAX_TURN = np.radians(5.0).item()
+"""By which sides in a row may differ in direction."""
+ROW_GAP = 0.008
+"""Metres between one and the next in a row, at most."""
+_BACKS = 0.02
+"""Metres by which backs may differ."""
+CENTRED = 0.25
+"""Of half the shorter side: so far from the middle of the one below it the next may be."""
+_AS_WIDE = 0.7
+"""Of the sides of what something is nested in: it has so much at least."""
+_SUNK = 0.005
+"""Metres by which what is nested is below the rim."""
+
+# Of what stands in a row: its hull over its box, and its base over the box's, at least.
+_BOX_LIKE = 0.85
+_NARROW = 0.8
+"""Thickness over depth and over height, at most."""
+
+# Of what stands on its like: metres by which columns that touch may differ, and the share of its own margin.
+_TOUCHES = 0.002
+_OWN_SHARE = 0.5
+
+
+def row_quaternions(asset: ObjectAsset, free: float = np.inf) -> list[np.ndarray]:
+    """How an object may stand in a row, wxyz, the best first; none if it is no box or has no thin side.
+
+    Its thin side is level, and the longest upright if it is below `free`, metres.
+    """
+    sides = 2 * np.asarray(asset.half_extents)
+    hull = ConvexHull(asset.vertices).volume / sides.prod()
+    thin = int(np.argmin(sides))
+    others = [axis for axis in range(3) if axis != thin]
+    if hull < _BOX_LIKE or sides[thin] > _NARROW * sides[others].min():
+        return []
+    found = []
+    # As it stands by itself first, then its longest side upright.
+    ways = sorted(others, key=lambda axis: (axis != 2, -sides[axis]))
+    for axis in ways:
+        if sides[axis] >= free:
+            continue
+        up = np.eye(3)[axis]
+        # Its front stays at the front where it can.
+        level = np.eye(3)[thin]
+        matrix = np.stack([level, np.cross(up, level), up])
+        if axis == 2:
+            matrix = np.eye(3)
+        found.append(_quaternion_of(matrix))
+    return found
+
+
+def stands_on_itself(asset: ObjectAsset) -> tuple[bool, bool]:
+    """Whether an object stands on another like it, and whether it is inside of that then, below its rim.
+
+    Lowered onto it as it is turned, it touches it in columns, within which its centre of mass is by half of
+    what it is on a flat table at least.
+    """
+    columns = columns_of(asset)
+    thick = columns.top - columns.bottom
+    rest = float(thick.max())
+    touching = columns.xy[thick > rest - _TOUCHES] - asset.center_of_mass[:2]
+    own = max(own_margin_of(asset), 1e-4)
+    is_stacked = len(touching) > 2 and support_margin(touching) >= _OWN_SHARE * own
+    sunk = 2 * float(asset.half_extents[2]) - rest
+    return is_stacked, is_stacked and sunk > _SUNK
+
+
+def able_objects(
+    objects: Sequence[ObjectAsset], facts: Sequence[ObjectFacts], arrangements: Sequence[str]
+) -> dict[str, np.ndarray]:
+    """bool[K] of each role of arrangements: the objects that can do what is asked of them.
+
+    Raises:
+      ConfigError: none of those that are meant can; it names those and some of the others that can.
+    """
+    able: dict[str, np.ndarray] = {}
+    for place, each in enumerate(parse_arrangements(arrangements), 1):
+        test = parse_condition(each.condition)
+        is_meant = np.array([test(fact) for fact in facts])
+        can = np.array([_can(each.kind, asset) for asset in objects])
+        if is_meant.any() and not (can & is_meant).any():
+            meant, others = (
+                [fact.name for fact, chosen in zip(facts, which, strict=True) if chosen]
+                for which in (is_meant, can)
+            )
+            raise ConfigError(
+                f"arrangement {str(each)!r} of {first_names(meant, _MOST_NAMED)}, {_CANNOT[each.kind]}",
+                f"such as {first_names(others, _MOST_NAMED)}"
+                if others
+                else "none of these objects",
+                f"'{each.kind} {others[0]}:{each.number}'" if others else "other objects",
+            )
+        names = [f"{each.kind}-{place}-{number}" for number in range(1, each.number + 1)]
+        able |= dict.fromkeys(names, can)
+    return able
+
+
+_MOST_NAMED = 8
+_CANNOT = {
+    "row": "which are no boxes with a thin side, that stand upright side by side",
+    "stack": "which do not stand on one another",
+    "nest": "which are not inside of one another when stacked",
+}
+
+
+def _can(kind: str, asset: ObjectAsset) -> bool:
+    if kind == "row":
+        return bool(row_quaternions(asset))
+    return stands_on_itself(asset)[kind == "nest"]
+
+
+def _quaternion_of(matrix: np.ndarray) -> np.ndarray:
+    return np.asarray(Rotation.from_matrix(matrix).as_quat(scalar_first=True))
+
+
+def is_arranged(kind: Array) -> Array:
+    """bool[...]: whether a relation is one of an arrangement."""
+    return kind >= min(ROW, STACK, NEST)
+
+
+def hold_arranged(
+    kind: Array, subjects: Boxes, references: Boxes, region: Region, is_table: Array
+) -> Array:
+    """bool[R]: whether what arrangements ask of R pairs of boxes holds; of those of other kinds anything.
+
+    Args:
+      kind: i32[R]; is_table: bool[R], the first of a row, which has no other.
+    """
+    T_region_world = region.T_world_region.inverse()
+    turn = T_region_world.rotation().as_matrix()
+    offset = (subjects.center - references.center) @ turn.T
+    ours = jnp.abs(subjects.sides @ turn.T)
+    theirs = jnp.abs(references.sides @ turn.T)
+    own = ours.sum(1)
+    other = theirs.sum(1)
+    # What is turned a little along the region reaches hardly farther than its largest share along it.
+    is_square = jnp.all(
+        own[:, :2] <= ours.max(1)[:, :2] + jnp.sin(MAX_TURN) * own.max(1)[:, None], axis=1
+    )
+    is_thin = own[:, 0] <= own[:, 1]
+    gap = jnp.abs(offset[:, 0]) - own[:, 0] - other[:, 0]
+    backs = jnp.abs(jnp.abs(offset[:, 1]) - jnp.abs(own[:, 1] - other[:, 1]))
+    in_row = (
+        is_square & is_thin & (is_table | ((gap <= ROW_GAP) & (gap > -ROW_GAP) & (backs <= _BACKS)))
+    )
+    away = jnp.linalg.norm(offset[:, :2], axis=1)
+    is_centred = away <= CENTRED * jnp.min(other[:, :2], axis=1)
+    low = subjects.center[:, 2] - reach_up(subjects)
+    top = references.center[:, 2] + reach_up(references)
+    on_top = is_centred & (subjects.center[:, 2] > references.center[:, 2])
+    nested = on_top & (low < top - _SUNK)
+    return jnp.where(kind == ROW, in_row, jnp.where(kind == STACK, on_top, nested))
+
+
+def count_arranged(half_extents: np.ndarray, poses: np.ndarray) -> tuple[int, int]:
+    """How many of N objects stand in a row with another, and how many are nested in one of about their size.
+
+    In a row: upright side by side, at most 8 mm apart, parallel within 5 degrees, taller than thick, and next
+    to each other along half of the shorter one's depth at least.
+
+    Args:
+      half_extents: f[N, 3], metres; poses: f[N, 7], world, metres, wxyz.
+    """
+    number = len(poses)
+    axes = [rotation_matrix(np.asarray(pose[3:], float)) for pose in poses]
+    boxes = []
+    for half, matrix in zip(half_extents, axes, strict=True):
+        up = int(np.argmax(np.abs(matrix[2])))
+        level = sorted((axis for axis in range(3) if axis != up), key=lambda axis: half[axis])
+        is_upright = abs(matrix[2, up]) > np.cos(MAX_TURN)
+        boxes.append((half[up], half[level[0]], half[level[1]], matrix[:2, level[0]], is_upright))
+    in_row = np.zeros(number, bool)
+    nested = np.zeros(number, bool)
+    for i in range(number):
+        for j in range(number):
+            if i == j:
+                continue
+            high, thin, deep, way, is_upright = boxes[i]
+            high_j, thin_j, deep_j, way_j, is_upright_j = boxes[j]
+            if not (is_upright and is_upright_j):
+                continue
+            offset = np.asarray(poses[j][:3] - poses[i][:3], float)
+            is_level = abs((offset[2] - high_j) + high) < 0.01
+            along = abs(offset[:2] @ way)
+            across = abs(offset[:2] @ np.array([-way[1], way[0]]))
+            is_parallel = abs(way @ way_j) > np.cos(MAX_TURN)
+            is_thin = thin < _NARROW * min(deep, high) and thin_j < _NARROW * min(deep_j, high_j)
+            is_beside = abs(along - thin - thin_j) <= ROW_GAP
+            if is_level and is_parallel and is_thin and is_beside and across <= max(deep, deep_j):
+                in_row[i] = True
+            # The other is in this one.
+            low = offset[2] - high_j
+            is_alike = thin_j >= _AS_WIDE * thin and deep_j >= _AS_WIDE * deep
+            is_centred = np.linalg.norm(offset[:2]) <= CENTRED * thin
+            if is_alike and is_centred and offset[2] > 0 and low < high - _SUNK:
+                nested[j] = True
+    return int(in_row.sum()), int(nested.sum())
