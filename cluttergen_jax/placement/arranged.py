@@ -70,6 +70,12 @@ def row_quaternions(asset: ObjectAsset, free: float = np.inf) -> list[np.ndarray
     return found
 
 
+def lift_of(asset: ObjectAsset) -> float:
+    """Metres from an object's origin to that of another like it that is lowered onto it, turned as it is."""
+    columns = columns_of(asset)
+    return float((columns.top - columns.bottom).max())
+
+
 def stands_on_itself(asset: ObjectAsset) -> tuple[bool, bool]:
     """Whether an object stands on another like it, and whether it is inside of that then, below its rim.
 

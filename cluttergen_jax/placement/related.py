@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import jax
@@ -12,8 +13,15 @@ from flax import struct
 from cluttergen_jax.assets.facts import ObjectFacts
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement.arranged import able_objects, hold_arranged, is_arranged
-from cluttergen_jax.placement.arrangements import ALL_KINDS, ARRANGED, NEST, ROW, STACK
+from cluttergen_jax.placement.arranged import able_objects, hold_arranged, is_arranged, lift_of
+from cluttergen_jax.placement.arrangements import (
+    ALL_KINDS,
+    ARRANGED,
+    NEST,
+    ROW,
+    STACK,
+    parse_arrangements,
+)
 from cluttergen_jax.placement.boxes import Boxes, gaps, is_over
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.containers import is_in, openings_of
@@ -59,6 +67,8 @@ class RelatedObjects(struct.PyTreeNode):
       possible: i32[Q], objects that take all roles together, for draws that end in a dead end.
       subject, reference: i32[R], roles; the reference is Q for the table.
       kind: i32[R], of `arrangements.ALL_KINDS`; gap: f32[R], metres.
+      asset: i32[K], equal for copies of the same thing; lift: f32[K], metres, `arranged.lift_of` each. None
+        where nothing is stacked or nested.
       is_arranged: whether there are rows, stacks or nests among them.
       is_against_back: rows stand before the back of a shelf.
     """
@@ -70,6 +80,8 @@ class RelatedObjects(struct.PyTreeNode):
     reference: Array
     kind: Array
     gap: Array
+    asset: Array | None = None
+    lift: Array | None = None
     is_arranged: bool = struct.field(pytree_node=False, default=False)
     is_against_back: bool = struct.field(pytree_node=False, default=False)
 
@@ -112,6 +124,13 @@ class RelatedObjects(struct.PyTreeNode):
             is_arranged=any(each.kind in ARRANGED for each in relations),
         )
 
+    def _below(self) -> Array:
+        """i32[Q]: the role that the one of a stack or a nest is put upon; its own for all others."""
+        own = jnp.arange(self.num_roles)
+        is_upon = (self.kind == STACK) | (self.kind == NEST)
+        place = jnp.where(is_upon, self.subject, self.num_roles)
+        return own.at[place].set(self.reference, mode="drop")
+
     @property
     def in_row(self) -> np.ndarray:
         """bool[K]: the objects that may stand in a row; outside `jit`."""
@@ -138,11 +157,18 @@ class RelatedObjects(struct.PyTreeNode):
         """i32[Q]: an object for each role, drawn one after another among those that are left."""
         noise = jax.random.gumbel(key, self.candidates.shape)
 
+        before = self._below()
+
         def give(
             state: tuple[Array, Array, Array], role: Array
         ) -> tuple[tuple[Array, Array, Array], None]:
             objects, is_taken, is_stuck = state
-            rank = jnp.where(self.candidates[role] & ~is_taken, noise[role], -jnp.inf)
+            is_possible = self.candidates[role] & ~is_taken
+            if self.asset is not None:
+                # The one below has its object already: those of an arrangement are given in their order.
+                is_equal = self.asset == self.asset[objects[before[role]]]
+                is_possible &= is_equal | (before[role] == role)
+            rank = jnp.where(is_possible, noise[role], -jnp.inf)
             chosen = jnp.argmax(rank).astype(jnp.int32)
             is_stuck |= ~jnp.isfinite(rank[chosen])
             return (objects.at[role].set(chosen), is_taken.at[chosen].set(True), is_stuck), None
@@ -204,17 +230,34 @@ def relate_objects(
             break
         copies += 1
     related = RelatedObjects.of(relations, roles, facts * copies, able)
-    return (*objects,) * copies, related
+    objects = (*objects,) * copies
+    if any(each.kind in ("stack", "nest") for each in parse_arrangements(config.arrangements)):
+        names = [each.name for each in objects]
+        known = {name: lift_of(each) for name, each in zip(names, objects, strict=True)}
+        related = related.replace(
+            asset=jnp.array([names.index(name) for name in names], jnp.int32),
+            lift=jnp.array([known[name] for name in names], jnp.float32),
+        )
+    return objects, related
 
 
 def _able_of(
     conditions: Mapping[str, str], facts: Sequence[ObjectFacts], able: Mapping[str, np.ndarray]
 ) -> np.ndarray:
-    """bool[Q, K]: which of K objects can take which role; `able` is of the first of their copies."""
+    """bool[Q, K]: which of K objects can take which role; `able` is of the first of their copies.
+
+    Of a stack or a nest, whose objects are equal, are those of which there are enough.
+    """
     found = candidates_of(conditions, facts)
+    number = Counter(fact.name for fact in facts)
     for row, name in zip(found, conditions, strict=True):
-        if name in able:
-            row &= np.tile(able[name], len(facts) // len(able[name]))
+        if name not in able:
+            continue
+        row &= np.tile(able[name], len(facts) // len(able[name]))
+        kind, place, _ = name.split("-")
+        if kind != "row":
+            asked = sum(other.startswith(f"{kind}-{place}-") for other in able)
+            row &= [number[fact.name] >= asked for fact in facts]
     return found
 
 
