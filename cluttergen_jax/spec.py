@@ -180,9 +180,9 @@ class SceneSpec(PlacementRequest):
       height: from which `random` releases an object: "rest", 1 mm above its resting height on the bare top;
         or "free", anywhere in the region's range of heights.
       poses: how objects are released, turned about the vertical at random: "upright"; "resting", in any of
-        their resting poses, as often as they end in it when thrown; "usual", in those, as often as people leave
-        them so: mostly upright, flat things sometimes turned over, a bottle rarely on its side; or "any", in
-        any orientation.
+        their resting poses, as often as they end in it when thrown; "usual", in those, as often as people
+        leave them so: mostly upright, flat things sometimes turned over, a bottle rarely on its side; or
+        "any", in any orientation.
       relations: what must hold in every scene (methods "guided", "spread"): "mug on book", "apple in bowl",
         "fork left_of plate", "cup next_to bottle:0.05", "knife aligned fork". There are on, under, in,
         next_to, far_from, left_of, right_of, in_front_of, behind (with metres of gap if wanted) and aligned.

@@ -197,8 +197,8 @@ def _notes(problem: Problem) -> Iterator[str]:
         _, most = share_packed(world.objects, placement, area)
         if most > USUALLY_PACKED:
             yield (
-                f"note: it is tight: the outlines of some draws cover {most:.2f} of the region, where not all "
-                "objects find room side by side"
+                f"note: it is tight: the outlines of some draws cover {most:.2f} of the region, where not "
+                "all objects find room side by side"
             )
     if crowded > 1:
         yield f"note: it is tight: the smallest objects alone cover {crowded:.1f} times the region's area"

@@ -10,6 +10,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.facts import ObjectFacts, parse_condition
+from cluttergen_jax.assets.hollow import hollow_of
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import ConfigError, first_names
 from cluttergen_jax.geometry import rotation_matrix
@@ -28,8 +29,8 @@ _BACKS = 0.02
 """Metres by which backs may differ."""
 CENTRED = 0.25
 """Of half the shorter side: so far from the middle of the one below it the next may be."""
-_AS_WIDE = 0.7
-"""Of the sides of what something is nested in: it has so much at least."""
+_LEVEL = 0.01
+"""Metres by which the bases of what stands in a row, or base and top in a stack, may differ."""
 _SUNK = 0.005
 """Metres by which what is nested is below the rim."""
 
@@ -126,14 +127,15 @@ _MOST_NAMED = 8
 _CANNOT = {
     "row": "which are no boxes with a thin side, that stand upright side by side",
     "stack": "which do not stand on one another",
-    "nest": "which are not inside of one another when stacked",
+    "nest": "which are not hollow, or not inside of one another when stacked",
 }
 
 
 def _can(kind: str, asset: ObjectAsset) -> bool:
     if kind == "row":
         return bool(row_quaternions(asset))
-    return stands_on_itself(asset)[kind == "nest"]
+    is_stacked, is_sunk = stands_on_itself(asset)
+    return is_stacked if kind == "stack" else is_sunk and hollow_of(asset) is not None
 
 
 def _quaternion_of(matrix: np.ndarray) -> np.ndarray:
@@ -179,46 +181,48 @@ def hold_arranged(
     return jnp.where(kind == ROW, in_row, jnp.where(kind == STACK, on_top, nested))
 
 
-def count_arranged(half_extents: np.ndarray, poses: np.ndarray) -> tuple[int, int]:
-    """How many of N objects stand in a row with another, and how many are nested in one of about their size.
+def count_arranged(
+    names: Sequence[str], half_extents: np.ndarray, is_hollow: np.ndarray, poses: np.ndarray
+) -> tuple[int, int, int]:
+    """How many of N objects stand in a row with another, and are stacked on or nested in one of their name.
 
-    In a row: upright side by side, at most 8 mm apart, parallel within 5 degrees, taller than thick, and next
-    to each other along half of the shorter one's depth at least.
+    In a row: upright side by side, at most 8 mm apart, parallel within 5 degrees, with a thin side each.
+    Stacked: upright, centred upon the other and not far above its top. Nested: hollow, and below its rim.
 
     Args:
+      is_hollow: bool[N].
       half_extents: f[N, 3], metres; poses: f[N, 7], world, metres, wxyz.
     """
+    poses = np.asarray(poses, float).reshape(-1, 7)
     number = len(poses)
-    axes = [rotation_matrix(np.asarray(pose[3:], float)) for pose in poses]
-    boxes = []
-    for half, matrix in zip(half_extents, axes, strict=True):
-        up = int(np.argmax(np.abs(matrix[2])))
-        level = sorted((axis for axis in range(3) if axis != up), key=lambda axis: half[axis])
-        is_upright = abs(matrix[2, up]) > np.cos(MAX_TURN)
-        boxes.append((half[up], half[level[0]], half[level[1]], matrix[:2, level[0]], is_upright))
-    in_row = np.zeros(number, bool)
-    nested = np.zeros(number, bool)
-    for i in range(number):
-        for j in range(number):
-            if i == j:
-                continue
-            high, thin, deep, way, is_upright = boxes[i]
-            high_j, thin_j, deep_j, way_j, is_upright_j = boxes[j]
-            if not (is_upright and is_upright_j):
-                continue
-            offset = np.asarray(poses[j][:3] - poses[i][:3], float)
-            is_level = abs((offset[2] - high_j) + high) < 0.01
-            along = abs(offset[:2] @ way)
-            across = abs(offset[:2] @ np.array([-way[1], way[0]]))
-            is_parallel = abs(way @ way_j) > np.cos(MAX_TURN)
-            is_thin = thin < _NARROW * min(deep, high) and thin_j < _NARROW * min(deep_j, high_j)
-            is_beside = abs(along - thin - thin_j) <= ROW_GAP
-            if is_level and is_parallel and is_thin and is_beside and across <= max(deep, deep_j):
-                in_row[i] = True
-            # The other is in this one.
-            low = offset[2] - high_j
-            is_alike = thin_j >= _AS_WIDE * thin and deep_j >= _AS_WIDE * deep
-            is_centred = np.linalg.norm(offset[:2]) <= CENTRED * thin
-            if is_alike and is_centred and offset[2] > 0 and low < high - _SUNK:
-                nested[j] = True
-    return int(in_row.sum()), int(nested.sum())
+    if not number:
+        return 0, 0, 0
+    index = np.arange(number)
+    matrix = np.array([rotation_matrix(pose[3:]) for pose in poses])
+    up = np.argmax(np.abs(matrix[:, 2]), axis=1)
+    is_upright = np.abs(matrix[index, 2, up]) > np.cos(MAX_TURN)
+    half = np.asarray(half_extents, float)
+    # Of the two level sides the thin one, and its direction.
+    sides = np.where(np.arange(3) == up[:, None], np.inf, half)
+    thin_axis = np.argmin(sides, axis=1)
+    thin = half[index, thin_axis]
+    high = half[index, up]
+    deep = half.sum(1) - thin - high
+    way = matrix[index, :2, thin_axis]
+    offset = poses[None, :, :3] - poses[:, None, :3]
+    along = np.abs(np.einsum("ijx,ix->ij", offset[..., :2], way))
+    across = np.abs(offset[..., 0] * -way[:, None, 1] + offset[..., 1] * way[:, None, 0])
+    is_pair = is_upright[:, None] & is_upright & ~np.eye(number, dtype=bool)
+    is_level = np.abs(offset[..., 2] - high + high[:, None]) < _LEVEL
+    is_parallel = np.abs(way @ way.T) > np.cos(MAX_TURN)
+    is_thin = thin <= _NARROW * np.minimum(deep, high)
+    is_beside = np.abs(along - thin[:, None] - thin) <= ROW_GAP
+    is_beside &= across <= np.maximum(deep[:, None], deep)
+    in_row = is_pair & is_level & is_parallel & is_thin & is_thin[:, None] & is_beside
+    alike = np.array(names)[:, None] == np.array(names)
+    away = np.linalg.norm(offset[..., :2], axis=-1)
+    low = offset[..., 2] - high
+    is_upon = is_pair & alike & (away <= CENTRED * thin[:, None]) & (offset[..., 2] > 0)
+    is_upon &= low < high[:, None] + _LEVEL
+    is_nested = is_upon & is_hollow & (low < high[:, None] - _SUNK)
+    return int(in_row.any(1).sum()), int(is_upon.any(0).sum()), int(is_nested.any(0).sum())

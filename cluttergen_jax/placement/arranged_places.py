@@ -113,7 +113,7 @@ class ArrangedPlaces:
         return jnp.sum(jnp.where(is_own, 2 * thin[subject] + _NEAR[1], 0.0))
 
     def _pile(self, key: Array, episode: Episode, other: Array) -> Array:
-        """f32[4]: upon the middle of the other, its like, turned as that is; after failures a little beside."""
+        """f32[4]: upon the middle of the other, its like, turned alike; after failures a little beside."""
         related = self._related
         rules = self._search.rules
         region = episode.region

@@ -46,8 +46,22 @@ class Outlines(struct.PyTreeNode):
         """Reads the columns of `geometry`, outside `jit`."""
         columns = np.asarray(geometry.column_xy, np.float64)
         is_column = np.asarray(geometry.is_column)
-        found = [_pieces(xy[keeps]) for xy, keeps in zip(columns, is_column, strict=True)]
+        half = np.asarray(geometry.half_extents, np.float64)[:, :2]
+        found = [
+            _pieces(_with_corners(xy[keeps], own))
+            for xy, keeps, own in zip(columns, is_column, half, strict=True)
+        ]
         return Outlines(jnp.asarray(np.stack(found), jnp.float32))
+
+
+def _with_corners(points: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """f64[C, 2]: an object's columns, and those corners of its box that they nearly reach.
+
+    Columns are a sample, in which corners may be missing.
+    """
+    corners = half * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
+    away = np.linalg.norm(points[:, None] - corners, axis=-1).min(0)
+    return np.concatenate([points, corners[away < _SEAM]])
 
 
 def _pieces(points: np.ndarray) -> np.ndarray:
