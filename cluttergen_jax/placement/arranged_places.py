@@ -7,9 +7,9 @@ import jax.numpy as jnp
 
 from cluttergen_jax.placement.arranged import is_arranged
 from cluttergen_jax.placement.arrangements import ROW
-from cluttergen_jax.placement.boxes import Boxes
+from cluttergen_jax.placement.boxes import Boxes, askew
 from cluttergen_jax.placement.region import action_of_pose, from_pose
-from cluttergen_jax.placement.related import RelatedObjects
+from cluttergen_jax.placement.related import RelatedObjects, heading_of
 from cluttergen_jax.placement.search import CLEARANCE, Search
 from cluttergen_jax.placement.types import Body, Episode
 from cluttergen_jax.types import Array
@@ -59,19 +59,21 @@ class ArrangedPlaces:
         rules = self._search.rules
         region = episode.region
         assert episode.roles is not None
-        key_gap, key_place, key_side = jax.random.split(key, 3)
+        key_gap, key_place, key_side, key_turn = jax.random.split(key, 4)
         half = body.half_extents[:2]
         is_along = half[0] <= half[1]
         thin = jnp.min(half)
         deep = jnp.max(half)
-        # All of a row face the same way.
-        yaw = jnp.where(is_along, 0.0, jnp.pi / 2) + jnp.pi * (episode.roles[0] % 2)
-        room = region.half_extents
-        gap = jax.random.uniform(key_gap, minval=_NEAR[0], maxval=_NEAR[1])
-        gap *= 1.0 + episode.attempt
         T_region_world = region.T_world_region.inverse()
         boxes = Boxes.of(rules.geometry.half_extents, episode.safe_poses)
         turn = T_region_world.rotation().as_matrix()
+        # All of a row face the same way.
+        yaw = jnp.where(is_along, 0.0, jnp.pi / 2) + jnp.pi * (episode.roles[0] % 2)
+        turned = heading_of(boxes.take(other[None]), turn)[0] - jnp.pi / 2
+        yaw += jnp.where(is_first, askew(key_turn, 1)[0], turned)
+        room = region.half_extents
+        gap = jax.random.uniform(key_gap, minval=_NEAR[0], maxval=_NEAR[1])
+        gap *= 1.0 + episode.attempt
         center = jax.vmap(T_region_world.apply)(boxes.center)
         reach = jnp.abs(boxes.sides @ turn.T).sum(1)
         # The next one goes to the right, its back in one line with the other's.

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from cluttergen_jax.placement.boxes import askew
 from cluttergen_jax.placement.methods.baselines import LowestFit
 from cluttergen_jax.placement.outlines import (
     NUM_DIRECTIONS,
@@ -22,8 +23,6 @@ from cluttergen_jax.types import Array
 # Turns that are tried: along the region's sides, and others.
 _SQUARE = 4
 _OTHER = 8
-_ASKEW = 0.005
-"""Radians: what lies exactly along a board creeps there: the engine finds fewer points of contact."""
 # Places at which each is tried: anywhere, and next to what stands there.
 _ANYWHERE = 64
 _BESIDE = 128
@@ -132,7 +131,7 @@ def _turns(key: Array) -> Array:
     """f32[Y], radians."""
     key_square, key_other = jax.random.split(key)
     square = jnp.arange(_SQUARE) * (2 * jnp.pi / _SQUARE)
-    square += jax.random.uniform(key_square, (_SQUARE,), minval=-1.0) * _ASKEW
+    square += askew(key_square, _SQUARE)
     return jnp.append(square, jax.random.uniform(key_other, (_OTHER,), maxval=2 * jnp.pi))
 
 
