@@ -42,6 +42,7 @@ from cluttergen_jax.placement.config import (
     MIN_MARGIN,
     MOST_UNASKED,
     RUIN_AFTER,
+    RUIN_AFTER_PACKED,
     PlacementConfig,
     PlacementRequest,
 )
@@ -370,7 +371,8 @@ class SceneSpec(PlacementRequest):
         is_default = self.setting == "default"
         is_ordered = is_default and entry_of(method).is_ordered
         order: Order = "weighted" if is_ordered else "random"
-        ruin_after = min(RUIN_AFTER, self.max_attempts) if is_ordered else 0
+        patience = RUIN_AFTER_PACKED if entry_of(method).limits_stack else RUIN_AFTER
+        ruin_after = min(patience, self.max_attempts) if is_ordered else 0
         # In a heap things lean on walls and on each other.
         usual = MIN_MARGIN if is_default and not entry_of(method).is_whole else 0.0
         min_margin = usual if self.for_engine is None else MARGIN_FOR[self.for_engine]

@@ -35,6 +35,8 @@ MAX_CLEARANCE = 0.1
 
 RUIN_AFTER = 5
 """Failed attempts in a row after which a scene is partly taken apart, where that is done."""
+RUIN_AFTER_PACKED = 2
+"""Likewise, where nothing may lie on others: what finds no room side by side finds none the next time."""
 ORDER_POWER = 4.0
 """Of a footprint in the weights of the order "weighted"."""
 _ALWAYS_RECORDED = (

@@ -687,11 +687,34 @@ class Rules(struct.PyTreeNode, eq=False):
         stays = episode.is_started
         if episode.surface is not None:
             stays |= episode.surface != episode.surface[self.focus(episode)]
-        which = choose_removal(episode, self.geometry, stays)
-        ruined = remove(episode, which, self.geometry, self.related)
+        if config.most_stacked is None:
+            which = choose_removal(episode, self.geometry, stays)
+            ruined = remove(episode, which, self.geometry, self.related)
+        else:
+            # Where nothing may lie on others, what is large finds no room any more: all begin again.
+            ruined = self._largest_first(remove(episode, ~stays, self.geometry, self.related))
         # What could not be filled again within the budget is not worth taking apart.
         is_ruined = (episode.attempt >= config.ruin_after) & ~self._is_spent(ruined)
         return choose(is_ruined, ruined, episode).replace(is_over=is_over)
+
+    def _largest_first(self, episode: Episode) -> Episode:
+        """The episode with what is still to be placed drawn into a new order, where that goes by size."""
+        if self.config.order not in ("largest", "weighted"):
+            return episode
+        index = episode.object_index
+        weight = self._order_weight(_key_of_attempt(episode.key, 8, episode))
+        slots = jnp.arange(len(index))
+        rank = jnp.where(slots < episode.slot, -jnp.inf, -weight[jnp.maximum(index, 0)])
+        order = jnp.argsort(jnp.where(index < 0, jnp.inf, rank), stable=True)
+        counts = episode.counts
+        return episode.replace(
+            object_index=index[order],
+            counts=counts.replace(
+                attempts=counts.attempts[order],
+                steps=counts.steps[order],
+                rest_steps=counts.rest_steps[order],
+            ),
+        )
 
     def _is_spent(self, episode: Episode) -> Array:
         """Whether the attempts that are left are fewer than the slots to fill, bool."""

@@ -23,7 +23,13 @@ from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import ProblemConfig
 from cluttergen_jax.placement.region import make_region
 from cluttergen_jax.placement.rollout import Rollout
-from cluttergen_jax.placement.room import check_crowding, check_room
+from cluttergen_jax.placement.room import (
+    USUALLY_FULL,
+    check_crowding,
+    check_room,
+    share_packed,
+    split_by_room,
+)
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.types import Verdict
 from tests.helpers.worlds import box, prism
@@ -113,7 +119,7 @@ def test_what_cannot_lie_inside_a_container_is_refused_by_name_and_size():
 
 
 @pytest.mark.parametrize("options", [{}, {"shelf": 2, "method": "random"}])
-def test_objects_that_are_too_large_are_refused_before_anything_is_placed(tmp_path, options):
+def test_objects_that_are_too_large_are_refused_by_name_or_left_out(tmp_path, options):
     objects = [
         box("cube", (0.02, 0.02, 0.02)),
         box("ball", (0.03, 0.02, 0.02)),
@@ -126,16 +132,69 @@ def test_objects_that_are_too_large_are_refused_before_anything_is_placed(tmp_pa
         "method": "pile",
         "num_objects": 2,
     } | options
+    named = asked | {"objects": ("cube", "ball", "slab")}
     with pytest.raises(
         ConfigError, match=r"slab \(0.40 x 0.40 x 0.02 m\).*Try: exclude=\('slab',\)"
     ):
-        cg.make_sampler(**asked)
+        cg.make_sampler(**named)
+    # Nobody asked for the slab: the others are drawn instead, and it is said.
+    for pattern in ((), ("*",), ("cube", "*l*")):
+        sample = cg.make_sampler(**asked | {"objects": pattern})
+        assert set(sample.names) == {"cube", "ball"}
+        assert sample.problem.notes == ("too large for support 'bin', and left out: slab",)
+    with pytest.raises(ConfigError, match=r"3 objects, of which 2 are left; .*left out: slab"):
+        cg.make_sampler(**asked | {"num_objects": 3, "shelf": None})
     high = write_pool(
         tmp_path / "high", Pool("high", (*objects[:2], box("pole", (0.02, 0.02, 0.4))))
     )
     on_shelf = {"pool": high, "support": "rack", "surface": "shelf_1", "method": "random"}
     with pytest.raises(ConfigError, match="too tall for shelf_1"):
         cg.make_sampler(**asked | on_shelf)
+
+
+def test_the_largest_objects_are_left_out_of_a_pile_that_would_overflow():
+    support = find_support("bin")
+    objects = [box(f"cube-{i}", (0.02 + 0.002 * i,) * 3) for i in range(20)]
+    config = cg.SceneSpec(method="pile", support="bin", num_objects=8).problem_config("pile")
+
+    def left(num_objects, named=()):
+        placement = replace(config.placement, num_objects=num_objects)
+        asked = replace(config, placement=placement)
+        kept, notes = split_by_room(objects, named, support, support.region, asked)
+        return [each.name for each in kept], notes
+
+    assert left(2) == ([each.name for each in objects], ())
+    names, (note,) = left(10)
+    # The largest ones, and no others; the least that helps.
+    assert names == [each.name for each in objects[: len(names)]]
+    assert "would fill support 'bin' too much" in note
+    assert 10 <= len(names) < 20
+    volumes = [np.prod(2 * each.half_extents) for each in objects[: len(names)]]
+    room = 0.4 * 0.3 * 0.15
+    draws = [np.random.default_rng(i).choice(volumes, 10, False).sum() / room for i in range(200)]
+    assert np.quantile(draws, 0.9) < USUALLY_FULL + 0.05
+    # What was asked for by name stays, and others go for it.
+    kept, _ = left(10, named=("cube-19",))
+    assert "cube-19" in kept
+    assert len(kept) < len(names) + 1
+
+
+def test_what_finds_no_room_side_by_side_is_refused_before_anything_is_placed():
+    support = find_support("tray")
+    tiles = [box(f"tile-{i}", (0.05, 0.05, 0.01)) for i in range(16)]
+    config = cg.SceneSpec(method="packed", support="tray", num_objects=12).problem_config("packed")
+    check_crowding(tiles, config, support)
+    many = replace(config, placement=replace(config.placement, num_objects=14))
+    with pytest.raises(ConfigError, match=r"14 objects side by side.*cover 1\.0 times") as told:
+        check_crowding(tiles, many, support)
+    # The advice works; and what lies on others needs no room.
+    most = int(told.value.hint.split("=")[1].split(",")[0])
+    fewer = replace(config.placement, num_objects=most)
+    check_crowding(tiles, replace(config, placement=fewer), support)
+    check_crowding(tiles, replace(many, placement=replace(many.placement, most_stacked=3)), support)
+    mean, nearly_all = share_packed(tiles, fewer, 0.45 * 0.32)
+    assert mean == pytest.approx(nearly_all)
+    assert mean == pytest.approx(most * (0.01 + 0.4 * 0.0015) / (0.45 * 0.32))
 
 
 def test_packed_takes_the_target_stack_alone():
