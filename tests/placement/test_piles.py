@@ -153,7 +153,7 @@ def test_objects_that_are_too_large_are_refused_by_name_or_left_out(tmp_path, op
 
 
 def test_the_largest_objects_are_left_out_of_a_pile_that_would_overflow():
-    support = find_support("bin")
+    support = find_support("bin-0.20x0.16x0.10")
     objects = [box(f"cube-{i}", (0.02 + 0.002 * i,) * 3) for i in range(20)]
     config = cg.SceneSpec(method="pile", support="bin", num_objects=8).problem_config("pile")
 
@@ -170,7 +170,7 @@ def test_the_largest_objects_are_left_out_of_a_pile_that_would_overflow():
     assert "would fill support 'bin' too much" in note
     assert 10 <= len(names) < 20
     volumes = [np.prod(2 * each.half_extents) for each in objects[: len(names)]]
-    room = 0.4 * 0.3 * 0.15
+    room = 0.2 * 0.16 * 0.1
     draws = [np.random.default_rng(i).choice(volumes, 10, False).sum() / room for i in range(200)]
     assert np.quantile(draws, 0.9) < USUALLY_FULL + 0.05
     # What was asked for by name stays, and others go for it.
@@ -182,7 +182,8 @@ def test_the_largest_objects_are_left_out_of_a_pile_that_would_overflow():
 def test_what_finds_no_room_side_by_side_is_refused_before_anything_is_placed():
     support = find_support("tray")
     tiles = [box(f"tile-{i}", (0.05, 0.05, 0.01)) for i in range(16)]
-    config = cg.SceneSpec(method="packed", support="tray", num_objects=12).problem_config("packed")
+    asked = cg.SceneSpec(method="packed", support="tray", num_objects=12, repeat=True)
+    config = asked.problem_config("packed")
     check_crowding(tiles, config, support)
     many = replace(config, placement=replace(config.placement, num_objects=14))
     with pytest.raises(ConfigError, match=r"14 objects side by side.*cover 1\.0 times") as told:
