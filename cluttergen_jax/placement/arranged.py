@@ -116,7 +116,9 @@ def able_objects(
                 f"such as {first_names(others, _MOST_NAMED)}"
                 if others
                 else "none of these objects",
-                f"'{each.kind} {others[0]}:{each.number}'" if others else "other objects",
+                f"arrangements={(f'{each.kind} {others[0]}:{each.number}',)!r}"
+                if others
+                else "other objects",
             )
         names = [f"{each.kind}-{place}-{number}" for number in range(1, each.number + 1)]
         able |= dict.fromkeys(names, can)

@@ -110,7 +110,7 @@ class RelatedObjects(struct.PyTreeNode):
             raise ConfigError(
                 f"{len(names)} roles ({', '.join(names)}), for which the objects do not suffice",
                 "a different object for each role",
-                "more objects, or repeat=True, where each may come more than once",
+                "repeat=True, or more objects",
             )
         number = {name: place for place, name in enumerate(names)} | {TABLE: len(names)}
         return RelatedObjects(

@@ -227,7 +227,12 @@ def split_by_room(
         notes.append(f"too large for {where}, and left out: {', '.join(large)}")
     if config.is_piled and rim > 0 and not config.shelf:
         fewer = _without_largest(kept, named, placement.num_objects, _volume_of(region, rim))
-        if len(fewer) < len(kept):
+        if fewer is None:
+            notes.append(
+                f"{placement.num_objects} of these objects fill more than {USUALLY_FULL:g} of {where} in many "
+                "draws, of which some end outside"
+            )
+        elif len(fewer) < len(kept):
             names = {each.name for each in fewer}
             large = [each.name for each in kept if each.name not in names]
             notes.append(
@@ -240,10 +245,10 @@ def split_by_room(
 
 def _without_largest(
     objects: Sequence[ObjectAsset], named: Collection[str], num_objects: int, room: float
-) -> list[ObjectAsset]:
+) -> list[ObjectAsset] | None:
     """The objects without the largest ones, so few that nearly every draw fills the room as it may.
 
-    All of them where there would be fewer than are drawn.
+    None where there would be fewer than are drawn.
     """
     volumes = np.array([_hull_volume(asset) for asset in objects])
     order = [index for index in np.argsort(-volumes).tolist() if objects[index].name not in named]
@@ -254,7 +259,7 @@ def _without_largest(
         if not order:
             break
         is_kept[order.pop(0)] = False
-    return list(objects)
+    return None
 
 
 def check_room(

@@ -85,7 +85,7 @@ def test_a_row_of_round_things_is_refused_with_what_would_do():
         able_objects(objects, facts, ("row ball",))
     assert "'row ball:3' of ball, which are no boxes" in str(told.value)
     assert told.value.allowed == "such as book"
-    assert told.value.hint == "'row book:3'"
+    assert told.value.hint == "arrangements=('row book:3',)"
     # A cube has no thin side either.
     with pytest.raises(ConfigError, match="cube"):
         able_objects(objects, facts, ("row cube",))
