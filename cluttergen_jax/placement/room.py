@@ -229,8 +229,8 @@ def split_by_room(
         fewer = _without_largest(kept, named, placement.num_objects, _volume_of(region, rim))
         if fewer is None:
             notes.append(
-                f"{placement.num_objects} of these objects fill more than {USUALLY_FULL:g} of {where} in many "
-                "draws, of which some end outside"
+                f"{placement.num_objects} of these objects fill more than {USUALLY_FULL:g} of {where} in "
+                "many draws, of which some end outside"
             )
         elif len(fewer) < len(kept):
             names = {each.name for each in fewer}
