@@ -19,6 +19,7 @@ from cluttergen_jax.assets.pool import embedded_root, find_pool
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.files import is_regular_file
 from cluttergen_jax.geometry import product, rotation_matrix, turn_between
+from cluttergen_jax.placement.arrangements import parse_arrangements
 from cluttergen_jax.placement.relations import conditions_of, parse_relations
 from cluttergen_jax.schema import SchemaError, convert, parse_yaml, read_json, read_written
 from cluttergen_jax.spec import SceneSpec
@@ -33,6 +34,7 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
       title: what people call it.
       objects: names and the condition of the objects that each may stand for (`SceneSpec.roles`).
       relations: what must hold of them (`SceneSpec.relations`).
+      arrangements: what is made of equal things besides (`SceneSpec.arrangements`).
       pool, support, region: see `SceneSpec`.
       others: objects of the pool that stand anywhere besides.
     """
@@ -40,6 +42,7 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
     objects: dict[str, str]
     title: str = ""
     relations: list[str] = []
+    arrangements: list[str] = []
     pool: str = str(SceneSpec.pool)
     support: str = str(SceneSpec.support)
     region: str | None = None
@@ -57,9 +60,9 @@ def read_layout(layout: str | Path) -> SceneSpec:
         cluttergen_jax.generate("out", cluttergen_jax.read_layout("breakfast_for_two"))
 
     A file has `objects`, names of your own and which objects of the pool each may stand for; `relations`
-    between them and other objects of the pool; and, if wanted, `title`, `pool`, `support`, `region` and
-    `others`, the number of further objects of the pool. Where the pool has too few objects for the names,
-    they come more than once.
+    between them and other objects of the pool; and, if wanted, `arrangements`, `title`, `pool`, `support`,
+    `region` and `others`, the number of further objects of the pool. Where the pool has too few objects for
+    the names, they come more than once.
 
     Raises:
       ConfigError: there is no such layout, it is no YAML, or something in it is not understood.
@@ -70,16 +73,19 @@ def read_layout(layout: str | Path) -> SceneSpec:
     _check_names([name for name in conditions if name not in given.objects], given, layout)
     if given.others < 0:
         raise ConfigError(f"others = {given.others} in layout {str(layout)!r}", "0 or more")
+    arranged = parse_arrangements(tuple(given.arrangements))
     # Only what may be placed is compiled into the world.
-    objects = () if given.others else tuple(dict.fromkeys(conditions.values()))
+    meant = (*conditions.values(), *(each.condition for each in arranged))
+    objects = () if given.others else tuple(dict.fromkeys(meant))
     return SceneSpec(
         pool=given.pool,
         objects=objects,
-        num_objects=len(conditions) + given.others,
+        num_objects=len(conditions) + sum(each.number for each in arranged) + given.others,
         repeat=True,
         support=given.support,
         region=given.region,
         relations=tuple(given.relations),
+        arrangements=tuple(given.arrangements),
         roles=given.objects,
     )
 

@@ -255,6 +255,18 @@ def test_stacks_and_nests_are_centred(tmp_path):
     assert stats["nest"].got == 2
 
 
+def test_a_layout_has_arrangements(tmp_path):
+    path = tmp_path / "cupboard.yaml"
+    path.write_text(
+        "objects: {mine: mug}\narrangements: ['stack dinner_plate:3', nest bowl]\nothers: 1\n"
+    )
+    spec = cg.read_layout(path)
+    assert spec.num_objects == 1 + 3 + 3 + 1
+    assert spec.arrangements == ("stack dinner_plate:3", "nest bowl")
+    path.write_text("objects: {mine: mug}\narrangements: ['stack dinner_plate:3']\n")
+    assert cg.read_layout(path).objects == ("mug", "dinner_plate")
+
+
 def test_arrangements_are_refused_where_nothing_brings_them_about():
     with pytest.raises(ConfigError, match=r"arrangements.*random"):
         cg.SceneSpec(arrangements=("stack bowl",)).check_method("random")
