@@ -72,6 +72,8 @@ CROWD = 40
 """Objects; scenes of more are not over when they fail their last check (`PlacementConfig.retry_last`)."""
 MARGIN_FOR: dict[OtherEngine, float] = {"drake": 0.02, "pybullet": 0.01, "isaac": 0.01}
 """Metres of `min_margin` that another engine asks for (reports/measured.md); Isaac's was not measured."""
+_MORE_PACKED = 2
+"""Times as many attempts in all as other methods have, where nothing may lie on others."""
 SETTINGS = get_args(Setting)
 BALANCES = get_args(Balance)
 F = TypeVar("F", bound=Callable[..., Any])
@@ -156,7 +158,8 @@ class SceneSpec(PlacementRequest):
         most. Of a pile: how often an object that comes to lie outside is let fall, at most.
       ruin_after: number of failed attempts in a row after which some placed objects, with all that lean on
         them, are removed and placed again; 0 removes nothing. If not given: the method's own, 0 for most.
-      budget: attempts of a scene in all; `max_attempts` for each object if not given.
+      budget: attempts of a scene in all; `max_attempts` for each object if not given, with "packed" twice as
+        many.
       min_margin: minimum horizontal distance (m) from an object's centre of mass to the edge of its support;
         0 asks for nothing. If not given: 0.003.
       robust: require that an object, and whatever it touches, is also stable while gravity is tilted by 5
@@ -522,6 +525,9 @@ class SceneSpec(PlacementRequest):
             clutter = None if self.clutter is None else Clutter.of(self.clutter)
             stack = None if clutter is None else clutter.stack
             decided["most_stacked"] = math.ceil(stack or 0)
+            if self.budget is None and self.setting == "default":
+                # All begin again where one finds no room.
+                decided["budget"] = _MORE_PACKED * num_objects * self.max_attempts
         placement = self._placement(num_objects, decided)
         engine: Engine = "native" if entry.is_whole else self.engine
         has_two_detectors = engine_of(engine, stability) == "native"
