@@ -36,12 +36,14 @@ from cluttergen_jax.config import (
     stability_text,
 )
 from cluttergen_jax.errors import ConfigError, closest, range_text
+from cluttergen_jax.placement.arrangements import parse_arrangements
 from cluttergen_jax.placement.clutter import CROWDED, Clutter
 from cluttergen_jax.placement.config import (
     MAX_SLOTS,
     MIN_MARGIN,
     MOST_UNASKED,
     RUIN_AFTER,
+    RUIN_AFTER_PACKED,
     PlacementConfig,
     PlacementRequest,
 )
@@ -77,6 +79,8 @@ MANY = 40
 """Objects; scenes of more are not over when they fail their last check (`PlacementConfig.retry_last`)."""
 MARGIN_FOR: dict[OtherEngine, float] = {"drake": 0.02, "pybullet": 0.01, "isaac": 0.01}
 """Metres of `min_margin` that another engine asks for (reports/measured.md); Isaac's was not measured."""
+_MORE_PACKED = 2
+"""Times as many attempts in all as other methods have, where nothing may lie on others."""
 SETTINGS = get_args(Setting)
 BALANCES = get_args(Balance)
 F = TypeVar("F", bound=Callable[..., Any])
@@ -117,6 +121,7 @@ class SceneOptions(TypedDict, total=False):
     relations: Sequence[str]
     relations_prefer: bool
     roles: str | Mapping[str, str]
+    arrangements: Sequence[str]
     clearance: float | None
     crowd: float
     doors: DoorState | None
@@ -163,7 +168,8 @@ class SceneSpec(PlacementRequest):
         most. Of a pile: how often an object that comes to lie outside is let fall, at most.
       ruin_after: number of failed attempts in a row after which some placed objects, with all that lean on
         them, are removed and placed again; 0 removes nothing. If not given: the method's own, 0 for most.
-      budget: attempts of a scene in all; `max_attempts` for each object if not given.
+      budget: attempts of a scene in all; `max_attempts` for each object if not given, with "packed" twice as
+        many.
       min_margin: minimum horizontal distance (m) from an object's centre of mass to the edge of its support;
         0 asks for nothing. If not given: 0.003.
       robust: require that an object, and whatever it touches, is also stable while gravity is tilted by 5
@@ -190,7 +196,9 @@ class SceneSpec(PlacementRequest):
       height: from which `random` releases an object: "rest", 1 mm above its resting height on the bare top;
         or "free", anywhere in the region's range of heights.
       poses: how objects are released, turned about the vertical at random: "upright"; "resting", in any of
-        their resting poses, as often as they end in it when thrown; or "any", in any orientation.
+        their resting poses, as often as they end in it when thrown; "usual", in those, as often as people
+        leave them so: mostly upright, flat things sometimes turned over, a bottle rarely on its side; or
+        "any", in any orientation.
       relations: what must hold in every scene (methods "guided", "spread"): "mug on book", "apple in bowl",
         "fork left_of plate", "cup next_to bottle:0.05", "knife aligned fork". There are on, under, in,
         next_to, far_from, left_of, right_of, in_front_of, behind (with metres of gap if wanted) and aligned.
@@ -199,8 +207,12 @@ class SceneSpec(PlacementRequest):
         turned along what is beside, over the middle of what carries or holds; else all alike.
       roles: names in relations and the condition of the objects that each may stand for, as those of
         `objects`: "plate_1=plate*; plate_2=plate*". In Python also a mapping.
-      clearance: metres between the boxes of objects, and to the region's sides, that "packed" leaves; 0.003
-        if not given.
+      arrangements: what people make of equal things, with how many (3 if not given; methods "guided",
+        "spread"): "row label=*book*:4", upright side by side, on shelves against the back; "stack plate*:3",
+        one upon the other; "nest bowl", one inside of the other. The objects are told as those of `objects`;
+        where a pool has one of them, `repeat` gives more.
+      clearance: metres between the outlines of objects, and to the region's sides, that "packed" leaves;
+        0.003 if not given.
       crowd: how far the objects of a finished scene are drawn together: 0, they stay where they were placed;
         0.5, neighbours touch from the side, the same as clutter="side=0.9"; 1, a heap in which many lean, as
         clutter="side=0.9,lean=0.4". Native engine only.
@@ -288,20 +300,21 @@ class SceneSpec(PlacementRequest):
         if self.stability is not None:
             text = stability_text(stability_of(self.stability))
             object.__setattr__(self, "stability", text or None)
-        if self.start is not None and (self.relations or self.roles):
-            given = "`relations` with a scene to start from"
+        check_names(self.arrangements, "arrangements")
+        if self.start is not None and (self.relations or self.roles or self.arrangements):
+            given = "`relations` or `arrangements` with a scene to start from"
             raise ConfigError(given, "one or the other", "leaving out `start`")
         # Equal requests are equal, and can be hashed, whatever kind of sequence or path was given.
-        for name in ("objects", "exclude", "keep_out", "relations"):
+        for name in ("objects", "exclude", "keep_out", "relations", "arrangements"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         for name in ("pool", "support"):
             object.__setattr__(self, name, str(getattr(self, name)))
         if self.clutter is not None:
             object.__setattr__(self, "clutter", Clutter.of(self.clutter))
         # With no number of objects yet, a budget for one is enough; of too many, the pool says what it has.
-        least = max(
-            1, len(conditions_of(parse_roles(str(self.roles)), parse_relations(self.relations)))
-        )
+        arranged = sum(each.number for each in parse_arrangements(self.arrangements))
+        related = conditions_of(parse_roles(str(self.roles)), parse_relations(self.relations))
+        least = max(1, len(related) + arranged)
         self._placement(least if self.num_objects is None else min(self.num_objects, MAX_SLOTS))
 
     @classmethod
@@ -383,7 +396,8 @@ class SceneSpec(PlacementRequest):
         is_default = self.setting == "default"
         is_ordered = is_default and entry_of(method).is_ordered
         order: Order = "weighted" if is_ordered else "random"
-        ruin_after = min(RUIN_AFTER, self.max_attempts) if is_ordered else 0
+        patience = RUIN_AFTER_PACKED if entry_of(method).limits_stack else RUIN_AFTER
+        ruin_after = min(patience, self.max_attempts) if is_ordered else 0
         # In a heap things lean on walls and on each other.
         usual = MIN_MARGIN if is_default and not entry_of(method).is_whole else 0.0
         min_margin = usual if self.for_engine is None else MARGIN_FOR[self.for_engine]
@@ -563,6 +577,9 @@ class SceneSpec(PlacementRequest):
             decided["most_stacked"] = math.ceil(stack or 0)
         if self.doors is None and are_to_be_closed(find_support(self.support)):
             decided["doors"] = "closed"
+            if self.budget is None and self.setting == "default":
+                # All begin again where one finds no room.
+                decided["budget"] = _MORE_PACKED * num_objects * self.max_attempts
         placement = self._placement(num_objects, decided)
         _, lean = placement.crowd_targets or (0.0, 0.0)
         is_heap = entry.is_whole or lean > 0
@@ -572,6 +589,7 @@ class SceneSpec(PlacementRequest):
         return ProblemConfig(
             pool=pool,
             objects=chosen,
+            named=tuple(name for name in self.objects if is_plain_name(name)),
             repeat=self.repeat,
             shelf=shelf,
             weights=weights,
@@ -625,8 +643,8 @@ class SceneSpec(PlacementRequest):
             raise ConfigError(given, range_text(1, shelf), hint)
         drawn = "with a shelf of objects that each block draws"
         fewer = "fewer `objects` and no `shelf`"
-        if self.relations or self.roles:
-            raise ConfigError(f"`relations` {drawn}", "one or the other", fewer)
+        if self.relations or self.roles or self.arrangements:
+            raise ConfigError(f"`relations` or `arrangements` {drawn}", "one or the other", fewer)
         if self.start is not None:
             raise ConfigError(f"`start` {drawn}", "no start", "fewer `objects`, without a shelf")
         if self.repeat:

@@ -87,4 +87,7 @@ def _flag(flag: str, value: str) -> str:
     if value in ("True", "False"):
         return f"--{flag}" if value == "True" else f"--no-{flag}"
     words = re.split(r",\s*", value[1:-1].strip(",")) if value[0] in "([" else [value]
-    return " ".join([f"--{flag}", *(word.strip("'\"") for word in words)]).rstrip()
+    plain = [word.strip("'\"") for word in words]
+    return " ".join(
+        [f"--{flag}", *(f"'{word}'" if " " in word else word for word in plain)]
+    ).rstrip()

@@ -33,6 +33,7 @@ _RULES = (
     "natural",
     "relations",
     "roles",
+    "arrangements",
     "overhang",
     "containment",
     "for_engine",

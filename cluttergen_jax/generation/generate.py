@@ -39,7 +39,7 @@ from cluttergen_jax.placement.rollout import (
     sample_block,
     sample_blocks,
 )
-from cluttergen_jax.placement.room import area_of, crowding
+from cluttergen_jax.placement.room import USUALLY_PACKED, area_of, crowding, share_packed
 from cluttergen_jax.placement.scenes import SceneBatch
 from cluttergen_jax.placement.shelves import ShelfWorlds, Shelves, shelf_key
 from cluttergen_jax.progress import Progress
@@ -65,7 +65,8 @@ class GeneratedBank(Bank):
     """A bank as `generate` leaves it; printed, it tells how well it went.
 
     Attributes:
-      notes: flagged objects, and a crowded region: said (stderr) before the first scene is made.
+      notes: flagged objects, those that find no room, and a crowded region: said (stderr) before the first
+        scene is made.
       summary: successes, attempts and rejections.
       advice: what to try where few scenes succeed, else "".
       files_written: what was written beside the table, "" if nothing was.
@@ -213,12 +214,21 @@ def _advice(method: str, totals: Totals, failed: Sequence[RelationFailures]) -> 
 
 def _notes(problem: Problem) -> Iterator[str]:
     world = problem.world
-    number = problem.config.placement.num_objects
-    crowded = crowding(world.objects, number, problem.region, area_of(world.support))
+    placement = problem.config.placement
+    crowded = crowding(world.objects, placement.num_objects, problem.region, area_of(world.support))
+    yield from (f"note: {note}" for note in problem.notes)
     for asset in {id(each): each for each in problem.world.objects}.values():
         if asset.flags:
             yield f"note: {asset.name}: {'; '.join(asset.flags)}"
     yield from relation_notes(problem)
+    if placement.most_stacked is not None:
+        area = area_of(world.support) or 4 * float(np.prod(problem.region.half_extents))
+        _, most = share_packed(world.objects, placement, area)
+        if most > USUALLY_PACKED:
+            yield (
+                f"note: it is tight: the outlines of some draws cover {most:.2f} of the region, where not "
+                "all objects find room side by side"
+            )
     if crowded > 1:
         yield f"note: it is tight: the smallest objects alone cover {crowded:.1f} times the region's area"
 

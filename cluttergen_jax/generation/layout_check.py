@@ -26,6 +26,7 @@ from cluttergen_jax.placement.clutter import NAMES, Clutter
 from cluttergen_jax.placement.config import MAX_SLOTS
 from cluttergen_jax.placement.problem import check_objects
 from cluttergen_jax.placement.related import relate_objects
+from cluttergen_jax.placement.arrangements import Arrangement, parse_arrangements
 from cluttergen_jax.placement.relations import (
     KINDS,
     MOST_GAP,
@@ -104,6 +105,15 @@ class Layout(msgspec.Struct, forbid_unknown_fields=True):
             "object is on one side of another only. Say each relation once; no circles.",
             max_length=MOST_RELATIONS,
             examples=[["mug next_to plate:0.05", "fork left_of plate", "apple in bowl"]],
+        ),
+    ] = []
+    arrangements: Annotated[
+        list[str],
+        _about(
+            "What is made of equal things besides, each 'KIND CONDITION:NUMBER': row (upright side by side, as "
+            "books), stack (one upon the other), nest (one inside of the other). The condition is of objects "
+            "of the pool, as in `objects`.",
+            examples=[["row label=*book*:4", "stack dinner_plate:3", "nest bowl:2"]],
         ),
     ] = []
     title: Annotated[str, _about("What people call it.", examples=["Breakfast for two"])] = ""
@@ -470,6 +480,11 @@ def meaning_faults(
             if facts and is_label and (meant := name_meant(condition, facts)):
                 fault = _no_such_object(name, condition, facts, pool, meant)
             yield fault
+    for place, text in enumerate(layout.arrangements):
+        try:
+            Arrangement.parse(text)
+        except ConfigError as error:
+            yield LayoutFault(f"arrangements[{place}]", error.given, error.allowed, error.hint)
     relations: list[Relation] = []
     for place, text in enumerate(layout.relations):
         path = f"relations[{place}]"
@@ -643,16 +658,19 @@ def spec_of_layout(layout: Layout) -> SceneSpec:
     """The request that a layout without faults is (ConfigError: it has one)."""
     relations = tuple(map(Relation.parse, layout.relations))
     conditions = conditions_of(tuple(layout.objects.items()), relations)
+    arranged = parse_arrangements(tuple(layout.arrangements))
     # Only what may be placed is compiled into the world.
-    objects = () if layout.others else tuple(dict.fromkeys(conditions.values()))
+    meant = (*conditions.values(), *(each.condition for each in arranged))
+    objects = () if layout.others else tuple(dict.fromkeys(meant))
     return SceneSpec(
         pool=layout.pool,
         objects=objects,
-        num_objects=len(conditions) + layout.others,
+        num_objects=len(conditions) + sum(each.number for each in arranged) + layout.others,
         repeat=True,
         support=layout.support,
         region=layout.region,
         relations=tuple(layout.relations),
+        arrangements=tuple(layout.arrangements),
         roles=layout.objects,
         poses=layout.poses,
         clutter=layout.clutter or None,
@@ -679,7 +697,7 @@ def _room_notes(spec: SceneSpec, layout: Layout, pool: Pool) -> list[str]:
     config = spec.problem_config(method, pool)
     if config.shelf:
         return []
-    chosen, support, region = check_objects(config, pool)
+    _, chosen, support, region, _ = check_objects(config, pool)
     relate_objects(chosen, config.placement, config.repeat)
     if config.placement.clutter is not None:
         config.placement.clutter.check(config.placement.num_objects)

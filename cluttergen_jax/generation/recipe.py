@@ -39,7 +39,7 @@ def recipe_of(
     """
     config = dataclasses.asdict(problem.config)
     # None decides a scene: threads do not, every scene of a bank has the same region, and the method is told.
-    for name in ("num_threads", "change", "is_piled"):
+    for name in ("num_threads", "change", "is_piled", "named"):
         config.pop(name)
     # Nor is anything drawn where there is no shelf, as in banks of before there were any.
     for name in ("shelf", "weights", "balance", "surface", "polygon"):

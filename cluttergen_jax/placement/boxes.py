@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
@@ -11,6 +12,8 @@ from cluttergen_jax.types import Array
 
 NUM_CAMERAS = 8
 CAMERA_ELEVATION = np.radians(30.0)
+ASKEW = (0.004, 0.015)
+"""Radians by which what lies along something is turned from it at least, and at most."""
 _FILL = 0.6
 """Of the rectangle that bounds its box in a picture, so much an object fills and hides."""
 
@@ -51,6 +54,16 @@ class Boxes(struct.PyTreeNode):
 def reach_up(boxes: Boxes) -> Array:
     """f32[N], metres: from the centre of each box to its top."""
     return jnp.abs(boxes.sides[:, :, 2]).sum(1)
+
+
+def askew(key: Array, number: int) -> Array:
+    """f32[N], radians: small turns to either side, none of them nothing.
+
+    What lies exactly along a board creeps there, as the engine finds fewer points of contact.
+    """
+    key_size, key_side = jax.random.split(key)
+    size = jax.random.uniform(key_size, (number,), minval=ASKEW[0], maxval=ASKEW[1])
+    return jnp.where(jax.random.bernoulli(key_side, shape=(number,)), size, -size)
 
 
 def is_over(points: Array, boxes: Boxes, share: float) -> Array:

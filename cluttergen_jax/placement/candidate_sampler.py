@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from cluttergen_jax.placement.arranged_places import ArrangedPlaces
 from cluttergen_jax.placement.boxes import Boxes, footprint_area
 from cluttergen_jax.placement.containers import openings_of
 from cluttergen_jax.placement.features import (
@@ -159,7 +160,13 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         if candidates.preference is not None:
             # Where none would count, at least one near to where it is to be: it may settle there.
             rank += jnp.where(candidates.is_allowed, 0.0, candidates.preference)
-        return candidates.found.action[jnp.argmax(rank)]
+        action = candidates.found.action[jnp.argmax(rank)]
+        related = self.search.rules.related
+        if related is None or not related.is_arranged:
+            return action
+        places = ArrangedPlaces(self.search, related)
+        arranged, is_next = places(jax.random.fold_in(key, 7), episode)
+        return jnp.where(is_next, arranged, action)
 
     @property
     def is_tilted(self) -> bool:

@@ -9,8 +9,14 @@ from typing import TYPE_CHECKING, get_args
 
 from cluttergen_jax.config import Containment, DoorState, Height, Order, Overhang, Poses, Reward
 from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.placement.arrangements import parse_arrangements, roles_and_relations
 from cluttergen_jax.placement.clutter import CROWDED, Clutter
-from cluttergen_jax.placement.relations import conditions_of, parse_relations, parse_roles
+from cluttergen_jax.placement.relations import (
+    Relation,
+    conditions_of,
+    parse_relations,
+    parse_roles,
+)
 
 if TYPE_CHECKING:
     from cluttergen_jax.schema import Record
@@ -29,6 +35,8 @@ MAX_CLEARANCE = 0.1
 
 RUIN_AFTER = 5
 """Failed attempts in a row after which a scene is partly taken apart, where that is done."""
+RUIN_AFTER_PACKED = 2
+"""Likewise, where nothing may lie on others: what finds no room side by side finds none the next time."""
 ORDER_POWER = 4.0
 """Of a footprint in the weights of the order "weighted"."""
 _ALWAYS_RECORDED = (
@@ -77,6 +85,7 @@ class PlacementRequest:
     relations: Sequence[str] = ()
     relations_prefer: bool = True
     roles: str | Mapping[str, str] | tuple[tuple[str, str], ...] = ""
+    arrangements: Sequence[str] = ()
     clearance: float | None = None
     crowd: float = 0.0
     doors: DoorState | None = None
@@ -178,10 +187,13 @@ class PlacementConfig(PlacementRequest):
         related = parse_relations(self.relations)
         object.__setattr__(self, "relations", tuple(map(str, related)))
         object.__setattr__(self, "roles", parse_roles(dict(self.roles)))
-        names = conditions_of(self.roles, related)
+        arranged = parse_arrangements(self.arrangements)
+        object.__setattr__(self, "arrangements", tuple(map(str, arranged)))
+        names = conditions_of(self.all_roles, self.all_relations)
         if len(names) > self.num_objects:
             raise ConfigError(
-                f"{len(names)} objects in relations ({', '.join(names)}) of scenes of {self.num_objects}",
+                f"{len(names)} objects in relations and arrangements ({', '.join(names)}) of scenes of "
+                f"{self.num_objects}",
                 f"up to {self.num_objects}",
                 f"num_objects={len(names)}",
             )
@@ -219,6 +231,17 @@ class PlacementConfig(PlacementRequest):
         if not any(asked.get(name) for name in CROWDED):
             return None
         return asked.get("side", 0.0), asked.get("lean", 0.0)
+
+    @property
+    def all_roles(self) -> tuple[tuple[str, str], ...]:
+        """Each name with its condition, those of arrangements included."""
+        return (*self.roles, *roles_and_relations(parse_arrangements(self.arrangements))[0])
+
+    @property
+    def all_relations(self) -> tuple[Relation, ...]:
+        """The relations, those within arrangements included."""
+        arranged = roles_and_relations(parse_arrangements(self.arrangements))[1]
+        return (*parse_relations(self.relations), *arranged)
 
     @property
     def max_scene_attempts(self) -> int:

@@ -13,11 +13,14 @@ from scipy.spatial.transform import Rotation
 from cluttergen_jax.assets.height_profile import HeightProfile
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.settle import upright_turn
+from cluttergen_jax.assets.usual_poses import usual_weights
 from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import product, rotation_matrix, yaw_quaternion
 from cluttergen_jax.physics import make_physics
 from cluttergen_jax.physics.host import BatchEngine
 from cluttergen_jax.physics.layout import Layout
+from cluttergen_jax.placement.arranged import row_quaternions
 from cluttergen_jax.placement.types import Orientations
 from cluttergen_jax.placement.world import own_margin_of, pad_rows, surface_runs
 from cluttergen_jax.types import Verdict
@@ -41,16 +44,25 @@ def make_orientations(
     kind: str,
     cut: Callable[[ObjectAsset], HeightProfile],
     tilted: np.ndarray | None = None,
+    is_in_row: Sequence[bool] | None = None,
+    free: float = np.inf,
 ) -> Orientations:
     """The orientations in which objects may be released, upright first; NumPy arrays.
 
     Args:
       layout: the compiled world of these objects, in their order.
       kind: "resting": the resting poses of each, verified: released so, alone, in four turns, it is stable
-        and stays within 3 degrees. One is drawn as often as random releases end in it. "any": directions
-        spread evenly over the sphere, of which any may point up. "upright": as the object frame has it.
+        and stays within 3 degrees. One is drawn as often as random releases end in it. "usual": the same
+        ones, as often as people leave it so (`assets.usual_poses`). "any": directions spread evenly over
+        the sphere, of which any may point up. "upright": as the object frame has it.
       cut: makes columns.
       tilted: bool[K], objects that get those directions, and their resting poses, besides, with no weight.
+      is_in_row: of each object, whether it may stand in a row; None where there are no rows. How it does is
+        one more orientation, which is not drawn.
+      free: metres, below which what stands in a row is.
+
+    Raises:
+      ConfigError: one of those does not stand so by itself.
     """
     engine = cast(BatchEngine, make_physics(layout, replace(stability, robust_tilt=0.0), "native"))
     recorded = [_resting_poses(asset) for asset in objects]
@@ -59,9 +71,15 @@ def make_orientations(
         recorded = [
             poses if asks else poses[:1] for poses, asks in zip(recorded, is_tilted, strict=True)
         ]
-    lying = _stable_poses(recorded, objects, layout, engine)
+    is_alone = kind == "upright" and tilted is None
+    lying = recorded if is_alone else _stable_poses(recorded, objects, layout, engine)
+    standing = None
+    if is_in_row is not None:
+        standing = _poses_in_row(objects, is_in_row, free, layout, engine)
     engine.free()
-    number = MAX_RESTING
+    number = 1 if is_alone else MAX_RESTING
+    if kind == "usual":
+        lying = [_left_usually(*each) for each in zip(objects, lying, strict=True)]
     if kind == "any" or tilted is not None:
         number += NUM_SPREAD
     spread = [_quaternion_of(upright_turn(up)) for up in _spread()]
@@ -74,11 +92,53 @@ def make_orientations(
             _with_tilted(poses, spread, kind) if asks else poses
             for poses, asks in zip(lying, tilted, strict=True)
         ]
+    in_row = None
+    if standing is not None:
+        in_row = np.array([0 if pose is None else number for pose in standing], np.int32)
+        own = [_Pose(poses[0].quaternion, 0.0) for poses in lying]
+        # What is missing before it is the object's own frame once more.
+        lying = [
+            [*poses, *[mine] * (number - len(poses)), mine if pose is None else pose]
+            for poses, mine, pose in zip(lying, own, standing, strict=True)
+        ]
+        number += 1
     bodies = [
         [_Body.of(asset, pose, cut) for pose in poses]
         for asset, poses in zip(objects, lying, strict=True)
     ]
-    return _stack(bodies, number)
+    return _stack(bodies, number).replace(in_row=in_row)
+
+
+def _poses_in_row(
+    objects: Sequence[ObjectAsset],
+    is_in_row: Sequence[bool],
+    free: float,
+    layout: Layout,
+    engine: BatchEngine,
+) -> list[_Pose | None]:
+    """How each object stands in a row, verified as a resting pose is; None for those that never do."""
+    tried = [
+        [_Pose(each, 0.0) for each in row_quaternions(asset, free)] if asked else []
+        for asset, asked in zip(objects, is_in_row, strict=True)
+    ]
+    settled = _settle(tried, objects, layout, engine, _SAME)
+    # As it was turned, not as it came to rest, its thin side is along x.
+    found = [
+        next((pose for pose, after in zip(before, ended, strict=True) if after.is_stable), None)
+        for before, ended in zip(tried, settled, strict=True)
+    ]
+    fallen = [
+        asset.name
+        for asset, asked, pose in zip(objects, is_in_row, found, strict=True)
+        if asked and pose is None
+    ]
+    if fallen:
+        raise ConfigError(
+            f"a row with {', '.join(dict.fromkeys(fallen))}, which does not stand upright by itself there",
+            "objects that stand on a narrow side, below what hangs over the surface",
+            "other objects, or exclude=" + repr(tuple(dict.fromkeys(fallen))),
+        )
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +171,13 @@ def _resting_poses(asset: ObjectAsset) -> list[_Pose]:
     upright, *others = asset.resting
     kept = [upright, *sorted(others, key=lambda pose: -pose.likelihood)[: MAX_RESTING - 1]]
     return [_Pose(np.array(pose.quaternion), max(pose.likelihood, _LEAST_WEIGHT)) for pose in kept]
+
+
+def _left_usually(asset: ObjectAsset, poses: list[_Pose]) -> list[_Pose]:
+    """The poses with the weights of `usual_weights`."""
+    quaternions = np.array([pose.quaternion for pose in poses])
+    weights = usual_weights(asset, quaternions, np.array([pose.weight for pose in poses]))
+    return [replace(pose, weight=weight) for pose, weight in zip(poses, weights, strict=True)]
 
 
 def _stable_poses(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import cast
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +22,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import Pool, find_pool
 from cluttergen_jax.assets.support import Rectangle, Ring, SupportAsset, cuboid_table
 from cluttergen_jax.assets.support_file import find_support
-from cluttergen_jax.assets.support_map import VOID, check_keep_out, check_region
+from cluttergen_jax.assets.support_map import VOID, check_keep_out, check_region, rim_height
 from cluttergen_jax.config import ContactConfig, StabilityConfig, check_workers
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import product, rotation_matrix, yaw_quaternion
@@ -37,7 +37,15 @@ from cluttergen_jax.placement.methods.baselines import costs_of_staying
 from cluttergen_jax.placement.orientations import MAX_RESTING, make_orientations
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
 from cluttergen_jax.placement.related import IN, RelatedObjects, relate_objects
-from cluttergen_jax.placement.room import check_crowding, check_number, check_room, check_surface
+from cluttergen_jax.placement.room import (
+    ROOM,
+    check_crowding,
+    check_left,
+    check_number,
+    check_room,
+    check_surface,
+    split_by_room,
+)
 from cluttergen_jax.placement.rules import OWN_SHARE, Rules
 from cluttergen_jax.placement.search import (
     CLEARANCE,
@@ -94,6 +102,8 @@ class ProblemConfig:
     Attributes:
       pool: a pool's name or folder.
       objects: names of the pool's objects to use; empty means all of them.
+      named: those of them that were asked for by name: what has no room in a container is refused where it
+        is one of them, and left out where it is not.
       repeat: allow duplicates when there are fewer than `placement.num_objects`.
       support: a support's name or folder; "table" is the paper's, "table-0.40x0.50" one of that size.
       surface: which of its surfaces objects are placed on; the first one if empty.
@@ -112,6 +122,7 @@ class ProblemConfig:
 
     pool: str = "dining"
     objects: tuple[str, ...] = ()
+    named: tuple[str, ...] = ()
     repeat: bool = False
     support: str = "table"
     surface: str = ""
@@ -140,12 +151,17 @@ class ProblemConfig:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Everything that is needed to place objects: see `make_problem`."""
+    """Everything that is needed to place objects: see `make_problem`.
+
+    Attributes:
+      notes: which objects were left out, and why.
+    """
 
     config: ProblemConfig
     world: World
     rules: Rules
     region: Rectangle
+    notes: tuple[str, ...] = ()
 
 
 def make_problem(
@@ -167,13 +183,28 @@ def make_problem(
             "1 to 200 objects here; `generate` and `make_sampler` take any number",
             "fewer `objects`",
         )
-    chosen, support, _ = check_objects(config, pool)
-    return compose(chosen, support, config, standing)
+    found = check_objects(config, pool)
+    problem = compose(found.objects, found.support, found.config, standing)
+    return replace(problem, notes=found.notes)
 
 
-def check_objects(
-    config: ProblemConfig, pool: Pool | None = None
-) -> tuple[list[ObjectAsset], SupportAsset, Rectangle]:
+class Chosen(NamedTuple):
+    """What is asked for.
+
+    Attributes:
+      config: with the objects that are left.
+      objects, support, region: see `ProblemConfig`.
+      notes: which objects were left out, and why.
+    """
+
+    config: ProblemConfig
+    objects: list[ObjectAsset]
+    support: SupportAsset
+    region: Rectangle
+    notes: tuple[str, ...]
+
+
+def check_objects(config: ProblemConfig, pool: Pool | None = None) -> Chosen:
     """The objects, the support and the region that are asked for; errors: `make_problem`."""
     pool = pool or find_pool(config.pool, names=config.objects)
     chosen = [pool[name] for name in config.objects] if config.objects else list(pool.objects)
@@ -184,10 +215,15 @@ def check_objects(
     region = config.region or support.region
     check_region(region, support)
     check_number(config.placement.num_objects, len(chosen), config.pool, config.repeat)
+    number = len(chosen)
+    chosen, notes = split_by_room(chosen, config.named, support, region, config)
+    if len(chosen) < number:
+        check_left(config.placement.num_objects, chosen, notes, config.repeat)
+        config = replace(config, objects=tuple(each.name for each in chosen))
     check_surface(chosen, support, config.placement, config.contact, config.region is not None)
     check_room(chosen, support, region, config.placement, config.is_piled)
     check_crowding(chosen, config, support)
-    return chosen, whole, region
+    return Chosen(config, chosen, whole, region, tuple(notes))
 
 
 @dataclass(frozen=True)
@@ -225,7 +261,7 @@ def compose(
     if wanted > len(objects):
         objects = repeat_objects(objects, wanted)
     objects, related = relate_objects(objects, config.placement, config.repeat)
-    if related is not None and len(support.asked) > 1:
+    if (config.placement.relations or config.placement.roles) and len(support.asked) > 1:
         given = "`relations` with several surfaces, between which objects are spread"
         raise ConfigError(given, "one `surface`", f"surface={support.asked[0][0].name!r}")
     region = config.region or support.region
@@ -239,7 +275,9 @@ def compose(
         support = doors.open
         config = with_doors_closed(config, doors)
     world = make_world([*objects, *standing], support, config.stability, config.contact, cut, doors)
-    orientations = _orientations_of(world, config, cut)
+    if related is not None and related.is_arranged:
+        related = related.replace(is_against_back=has_back(region, support))
+    orientations = _orientations_of(world, config, cut, related)
     geometry = geometry_of(world, orientations)
     asked = None if clutter is None else clutter.contained
     is_inside = related is not None and bool(jnp.any(related.kind == IN))
@@ -337,33 +375,46 @@ def _with_ways_in(
     if not (is_lacking.any() or is_shared):
         return geometry, related
     if config.placement.poses != "any":
-        turned = _orientations_of(world, config, cut, is_lacking.any(1))
+        turned = _orientations_of(world, config, cut, related, is_lacking.any(1))
         hollows = geometry.hollows
         geometry = geometry_of(world, turned).replace(hollows=hollows)
     ways_in, goes_in = find_ways_in(world, config, geometry, pairs)
     return geometry, related.replace(ways_in=ways_in, goes_in=goes_in)
 
 
+def has_back(region: Rectangle, support: SupportAsset) -> bool:
+    """Whether a region is within walls, or below a board: rows stand against its back there."""
+    free = min((surface.free_height for surface, _ in support.asked), default=math.inf)
+    return math.isfinite(free) or rim_height(region, support) > 0
+
+
 def _orientations_of(
     world: World,
     config: ProblemConfig,
     cut: Callable[[ObjectAsset], HeightProfile],
+    related: RelatedObjects | None,
     tilted: np.ndarray | None = None,
 ) -> Orientations | None:
-    """In which a world's objects are released; None where all are upright.
+    """In which a world's objects are released; None where all are upright as they are.
 
     Args:
       tilted: bool[K], see `make_orientations`.
     """
     kind = config.placement.poses
-    if kind == "upright" and tilted is None:
+    is_in_row = None
+    if related is not None and related.is_arranged and related.in_row.any():
+        is_in_row = np.pad(related.in_row, (0, world.num_objects - len(related.in_row))).tolist()
+    if kind == "upright" and tilted is None and is_in_row is None:
         return None
     layout = world.layout
     if world.support.named:
         # Resting poses are those on a level table with room above it.
         table = cuboid_table()
         layout = compile_layout(world.names, world.objects, table, config.stability, config.contact)
-    return make_orientations(world.objects, layout, config.stability, kind, cut, tilted)
+    free = min((surface.free_height for surface, _ in world.support.asked), default=math.inf)
+    return make_orientations(
+        world.objects, layout, config.stability, kind, cut, tilted, is_in_row, free - ROOM
+    )
 
 
 def _on_surfaces(rules: Rules, region: Rectangle, support: SupportAsset, world: World) -> Rules:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +13,15 @@ from flax import struct
 from cluttergen_jax.assets.facts import ObjectFacts
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.placement.arranged import able_objects, hold_arranged, is_arranged, lift_of
+from cluttergen_jax.placement.arrangements import (
+    ALL_KINDS,
+    ARRANGED,
+    NEST,
+    ROW,
+    STACK,
+    parse_arrangements,
+)
 from cluttergen_jax.placement.boxes import Boxes, gaps, is_over
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.containers import is_in, openings_of
@@ -24,7 +34,6 @@ from cluttergen_jax.placement.relations import (
     candidates_of,
     conditions_of,
     order_of,
-    parse_relations,
 )
 from cluttergen_jax.placement.types import Episode, Geometry, choose
 from cluttergen_jax.placement.world import MAX_OBJECTS
@@ -70,11 +79,15 @@ class RelatedObjects(struct.PyTreeNode):
       turn: i32[Q], in which order roles are given: those that few objects can take first.
       possible: i32[Q], objects that take all roles together, for draws that end in a dead end.
       subject, reference: i32[R], roles; the reference is Q for the table.
-      kind: i32[R], of `relations.KINDS`; gap: f32[R], metres.
+      kind: i32[R], of `arrangements.ALL_KINDS`; gap: f32[R], metres.
       ways_in: f32[K, K, P], log weights of the orientations in which an object, row, is released over a
         container, column, in which it is to be; None where it is released as anywhere. This and the next are
         those of `placement.problem.find_ways_in`.
       goes_in: bool[K, K], False where no such orientation was found.
+      asset: i32[K], equal for copies of the same thing; lift: f32[K], metres, `arranged.lift_of` each. None
+        where nothing is stacked or nested.
+      is_arranged: whether there are rows, stacks or nests among them.
+      is_against_back: rows stand before the back of a shelf.
     """
 
     candidates: Array
@@ -86,14 +99,22 @@ class RelatedObjects(struct.PyTreeNode):
     gap: Array
     ways_in: Array | None = None
     goes_in: Array | None = None
+    asset: Array | None = None
+    lift: Array | None = None
+    is_arranged: bool = struct.field(pytree_node=False, default=False)
+    is_against_back: bool = struct.field(pytree_node=False, default=False)
 
     @staticmethod
     def of(
         relations: Sequence[Relation],
         roles: Sequence[tuple[str, str]],
         facts: Sequence[ObjectFacts],
+        able: Mapping[str, np.ndarray] | None = None,
     ) -> RelatedObjects:
         """For a world of objects.
+
+        Args:
+          able: bool[K] of roles, the objects that can do what an arrangement asks of them.
 
         Raises:
           ConfigError: a role fits no object, or there are not enough different objects for all roles.
@@ -103,12 +124,12 @@ class RelatedObjects(struct.PyTreeNode):
         conditions = conditions_of(roles, relations)
         placed = order_of(relations)
         names = [*placed, *(name for name in conditions if name not in placed)]
-        candidates = candidates_of({name: conditions[name] for name in names}, facts)
+        candidates = _able_of({name: conditions[name] for name in names}, facts, able or {})
         if not can_be_filled(candidates):
             raise ConfigError(
                 f"{len(names)} roles ({', '.join(names)}), for which the objects do not suffice",
                 "a different object for each role",
-                "more objects, or repeat=True, where each may come more than once",
+                "repeat=True, or more objects",
             )
         number = {name: place for place, name in enumerate(names)} | {TABLE: len(names)}
         return RelatedObjects(
@@ -117,9 +138,34 @@ class RelatedObjects(struct.PyTreeNode):
             possible=jnp.asarray(linear_sum_assignment(~candidates)[1], jnp.int32),
             subject=jnp.array([number[each.subject] for each in relations], jnp.int32),
             reference=jnp.array([number[each.reference] for each in relations], jnp.int32),
-            kind=jnp.array([KINDS.index(each.kind) for each in relations], jnp.int32),
+            kind=jnp.array([ALL_KINDS.index(each.kind) for each in relations], jnp.int32),
             gap=jnp.array([each.gap for each in relations], jnp.float32),
+            is_arranged=any(each.kind in ARRANGED for each in relations),
         )
+
+    def _below(self) -> Array:
+        """i32[Q]: the role that the one of a stack or a nest is put upon; its own for all others."""
+        own = jnp.arange(self.num_roles)
+        is_upon = (self.kind == STACK) | (self.kind == NEST)
+        place = jnp.where(is_upon, self.subject, self.num_roles)
+        return own.at[place].set(self.reference, mode="drop")
+
+    @property
+    def in_row(self) -> np.ndarray:
+        """bool[K]: the objects that may stand in a row; outside `jit`."""
+        subject = np.asarray(self.subject)[np.asarray(self.kind) == ROW]
+        return np.asarray(self.candidates)[subject].any(0)
+
+    def dependence(self, objects: Array) -> Array:
+        """bool[K, K], row k: what object k was put beside or upon by an arrangement.
+
+        Args:
+          objects: i32[Q], of each role.
+        """
+        subject, reference, is_table = self.ends(objects)
+        number = self.candidates.shape[1]
+        depends = is_arranged(self.kind) & ~is_table
+        return jnp.zeros((number, number), bool).at[subject, reference].max(depends)
 
     @property
     def num_roles(self) -> int:
@@ -130,11 +176,18 @@ class RelatedObjects(struct.PyTreeNode):
         """i32[Q]: an object for each role, drawn one after another among those that are left."""
         noise = jax.random.gumbel(key, self.candidates.shape)
 
+        before = self._below()
+
         def give(
             state: tuple[Array, Array, Array], role: Array
         ) -> tuple[tuple[Array, Array, Array], None]:
             objects, is_taken, is_stuck = state
-            rank = jnp.where(self.candidates[role] & ~is_taken, noise[role], -jnp.inf)
+            is_possible = self.candidates[role] & ~is_taken
+            if self.asset is not None:
+                # The one below has its object already: those of an arrangement are given in their order.
+                is_equal = self.asset == self.asset[objects[before[role]]]
+                is_possible &= is_equal | (before[role] == role)
+            rank = jnp.where(is_possible, noise[role], -jnp.inf)
             chosen = jnp.argmax(rank).astype(jnp.int32)
             is_stuck |= ~jnp.isfinite(rank[chosen])
             return (objects.at[role].set(chosen), is_taken.at[chosen].set(True), is_stuck), None
@@ -203,18 +256,48 @@ def relate_objects(
     Raises:
       ConfigError: a role fits no object, or there are too few.
     """
-    relations = parse_relations(config.relations)
-    roles = config.roles
+    relations = config.all_relations
+    roles = config.all_roles
     if not relations and not roles:
         return objects, None
     conditions = conditions_of(roles, relations)
     facts = [ObjectFacts.of(each) for each in objects]
+    able = able_objects(objects, facts, config.arrangements) if config.arrangements else {}
     copies = 1
     while may_repeat and (copies + 1) * len(objects) <= MAX_OBJECTS:
-        if can_be_filled(candidates_of(conditions, facts * copies)):
+        if can_be_filled(_able_of(conditions, facts * copies, able)):
             break
         copies += 1
-    return (*objects,) * copies, RelatedObjects.of(relations, roles, facts * copies)
+    related = RelatedObjects.of(relations, roles, facts * copies, able)
+    objects = (*objects,) * copies
+    if any(each.kind in ("stack", "nest") for each in parse_arrangements(config.arrangements)):
+        names = [each.name for each in objects]
+        known = {name: lift_of(each) for name, each in zip(names, objects, strict=True)}
+        related = related.replace(
+            asset=jnp.array([names.index(name) for name in names], jnp.int32),
+            lift=jnp.array([known[name] for name in names], jnp.float32),
+        )
+    return objects, related
+
+
+def _able_of(
+    conditions: Mapping[str, str], facts: Sequence[ObjectFacts], able: Mapping[str, np.ndarray]
+) -> np.ndarray:
+    """bool[Q, K]: which of K objects can take which role; `able` is of the first of their copies.
+
+    Of a stack or a nest, whose objects are equal, are those of which there are enough.
+    """
+    found = candidates_of(conditions, facts)
+    number = Counter(fact.name for fact in facts)
+    for row, name in zip(found, conditions, strict=True):
+        if name not in able:
+            continue
+        row &= np.tile(able[name], len(facts) // len(able[name]))
+        kind, place, _ = name.split("-")
+        if kind != "row":
+            asked = sum(other.startswith(f"{kind}-{place}-") for other in able)
+            row &= [number[fact.name] >= asked for fact in facts]
+    return found
 
 
 def hold(
@@ -255,7 +338,12 @@ def hold(
         "aligned": _is_aligned(related, subjects, references, turn),
     }
     table = jnp.stack([by_kind[kind] for kind in KINDS])
-    return table[related.kind, jnp.arange(len(related.kind))]
+    holds = table[related.kind, jnp.arange(len(related.kind))]
+    if not related.is_arranged:
+        return holds
+    is_table = related.reference == related.num_roles
+    arranged = hold_arranged(related.kind, subjects, references, region, is_table)
+    return jnp.where(is_arranged(related.kind), arranged, holds)
 
 
 def _alone(box: Boxes) -> Boxes:
@@ -441,5 +529,8 @@ def carriers_of(related: RelatedObjects, episode: Episode, focus: Array) -> Arra
     assert episode.roles is not None
     is_placed = episode.is_placed
     is_subject, _, other, _ = related.pairs(episode.roles, focus)
-    wanted = is_subject & (related.kind == ON) & is_placed[other]
+    carried = related.kind == ON
+    if related.is_arranged:
+        carried |= (related.kind == STACK) | (related.kind == NEST)
+    wanted = is_subject & carried & is_placed[other]
     return jnp.zeros_like(is_placed).at[other].max(wanted)

@@ -17,6 +17,7 @@ from flax import struct
 from cluttergen_jax.physics.host import HostPhysics, NumberedEngines, Physics
 from cluttergen_jax.physics.standing import has_moved
 from cluttergen_jax.placement import crowd
+from cluttergen_jax.placement.arrangements import NEST, ROW, STACK
 from cluttergen_jax.placement.boxes import footprint_area
 from cluttergen_jax.placement.config import MAX_MARGIN, ORDER_POWER, PlacementConfig
 from cluttergen_jax.placement.containers import draw_contents
@@ -166,6 +167,9 @@ def remove(
     """
     is_mine = episode.is_placed & ~episode.is_started
     leans_on = episode.support_graph.leans_on & is_mine[:, None]
+    if related is not None and related.is_arranged and episode.roles is not None:
+        # What was put beside or upon a thing has lost its place with it.
+        leans_on |= related.dependence(episode.roles) & is_mine[:, None]
     which = supported_by(which & is_mine, leans_on)
     slots = jnp.arange(len(episode.object_index))
     index = jnp.maximum(episode.object_index, 0)
@@ -432,7 +436,24 @@ class Rules(struct.PyTreeNode, eq=False):
         drawn = self.geometry.orientations.draw(key, focus)
         if self.related is not None and episode.roles is not None:
             drawn = self.related.draw_way_in(key, episode.roles, focus, drawn)
+        if self.related is not None and self.related.is_arranged:
+            drawn = self._arranged_orientation(self.related, episode, focus, drawn)
         return episode.replace(orientation=drawn)
+
+    def _arranged_orientation(
+        self, related: RelatedObjects, episode: Episode, focus: Array, drawn: Array
+    ) -> Array:
+        """i32: as it stands in a row, upright in a stack or a nest, else the one that was drawn."""
+        orientations = self.geometry.orientations
+        assert episode.roles is not None
+        assert orientations is not None
+        is_subject, is_reference, _, _ = related.pairs(episode.roles, focus)
+        kind = jnp.where(is_subject | is_reference, related.kind, -1)
+        is_upright = jnp.any((kind == STACK) | (kind == NEST))
+        drawn = jnp.where(is_upright, 0, drawn)
+        if orientations.in_row is None:
+            return drawn
+        return jnp.where(jnp.any(kind == ROW), orientations.in_row[focus], drawn)
 
     def _with_surface(self, episode: Episode, key: Array) -> Episode:
         """The episode with a surface drawn for its current object, where there are several."""
@@ -446,6 +467,10 @@ class Rules(struct.PyTreeNode, eq=False):
             assert self.config.clutter is not None
             asked = self.config.clutter.contained or 0
             drawn = self.surfaces.beside_container(key, episode, focus, self.geometry, asked, drawn)
+        if self.related is not None and episode.roles is not None:
+            # The next of an arrangement goes where the one before is.
+            before = self.related.dependence(episode.roles)[focus] & episode.is_placed
+            drawn = jnp.where(jnp.any(before), episode.surface[jnp.argmax(before)], drawn)
         own = jnp.where(episode.is_placed[focus], episode.surface[focus], drawn)
         surface = episode.surface.at[focus].set(own)
         return episode.replace(surface=surface, region=self.surfaces.region(drawn))
@@ -685,11 +710,34 @@ class Rules(struct.PyTreeNode, eq=False):
         stays = episode.is_started
         if episode.surface is not None:
             stays |= episode.surface != episode.surface[self.focus(episode)]
-        which = choose_removal(episode, self.geometry, stays)
-        ruined = remove(episode, which, self.geometry, self.related)
+        if config.most_stacked is None:
+            which = choose_removal(episode, self.geometry, stays)
+            ruined = remove(episode, which, self.geometry, self.related)
+        else:
+            # Where nothing may lie on others, what is large finds no room any more: all begin again.
+            ruined = self._largest_first(remove(episode, ~stays, self.geometry, self.related))
         # What could not be filled again within the budget is not worth taking apart.
         is_ruined = (episode.attempt >= config.ruin_after) & ~self.is_spent(ruined)
         return choose(is_ruined, ruined, episode).replace(is_over=is_over)
+
+    def _largest_first(self, episode: Episode) -> Episode:
+        """The episode with what is still to be placed drawn into a new order, where that goes by size."""
+        if self.config.order not in ("largest", "weighted"):
+            return episode
+        index = episode.object_index
+        weight = self._order_weight(_key_of_attempt(episode.key, 8, episode))
+        slots = jnp.arange(len(index))
+        rank = jnp.where(slots < episode.slot, -jnp.inf, -weight[jnp.maximum(index, 0)])
+        order = jnp.argsort(jnp.where(index < 0, jnp.inf, rank), stable=True)
+        counts = episode.counts
+        return episode.replace(
+            object_index=index[order],
+            counts=counts.replace(
+                attempts=counts.attempts[order],
+                steps=counts.steps[order],
+                rest_steps=counts.rest_steps[order],
+            ),
+        )
 
     def is_spent(self, episode: Episode) -> Array:
         """Whether the attempts that are left are fewer than the slots to fill, bool."""

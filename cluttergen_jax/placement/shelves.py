@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from cluttergen_jax.assets.facts import weights_of
+from cluttergen_jax.assets.facts import ObjectFacts, weights_of
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import Pool, find_pool
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
@@ -44,6 +44,7 @@ from cluttergen_jax.placement.room import (
     check_number,
     check_room,
     check_surface,
+    split_by_room,
 )
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.placement.types import Start
@@ -178,6 +179,29 @@ def _smaller_shelf(num_objects: int, most: int) -> str:
     return f"num_objects={half}, shelf={half}"
 
 
+def _large_ones(
+    facts: Sequence[ObjectFacts], support: SupportAsset, region: Rectangle
+) -> list[str]:
+    """The names of objects whose box may be too large for the region, or for what hangs over it."""
+    free = max((surface.free_height for surface, _ in support.asked), default=math.inf)
+    short = 2 * min(region.half_extents)
+    return [
+        each.name for each in facts if math.hypot(*each.size) > short or each.size[2] + ROOM > free
+    ]
+
+
+def _with_room(
+    pool: Pool, config: ProblemConfig, support: SupportAsset, region: Rectangle
+) -> tuple[Pool, tuple[str, ...]]:
+    """The pool without what no container holds and was not asked for by name, and notes."""
+    large = [pool[name] for name in _large_ones(pool.facts, support, region)]
+    kept, notes = split_by_room(large, config.named, support, region, config)
+    if not notes:
+        return pool, ()
+    left_out = {each.name for each in large} - {each.name for each in kept}
+    return pool.select([name for name in pool.names if name not in left_out]), notes
+
+
 class Shelves:
     """Problems of objects that are drawn from a pool.
 
@@ -199,6 +223,9 @@ class Shelves:
         support: SupportAsset,
         keep_out: Sequence[Rectangle] = (),
     ) -> None:
+        region = config.region or support.region
+        check_region(region, support)
+        pool, self._notes = _with_room(pool, config, support, region)
         self.pool = pool
         self.config = config
         self._weights = weights_of(pool.facts, config.weights)
@@ -219,8 +246,6 @@ class Shelves:
                 f"a shelf of {range_text(1, most - 1, 'fewer objects than can be drawn')}",
                 _smaller_shelf(config.placement.num_objects, most),
             )
-        region = config.region or support.region
-        check_region(region, support)
         check_keep_out(keep_out, region)
         check_number(config.placement.num_objects, config.shelf, config.pool)
         doors = doors_of(support, config.placement)
@@ -242,14 +267,7 @@ class Shelves:
         drawn = [
             each for each, weight in zip(self.pool.facts, self._weights, strict=True) if weight > 0
         ]
-        free = max((surface.free_height for surface, _ in support.asked), default=math.inf)
-        short = 2 * min(region.half_extents)
-        large = [
-            each.name
-            for each in drawn
-            if math.hypot(*each.size) > short or each.size[2] + ROOM > free
-        ]
-        objects = [self.pool[name] for name in large]
+        objects = [self.pool[name] for name in _large_ones(drawn, support, region)]
         check_surface(objects, support, config.placement, config.contact, config.region is not None)
         check_room(objects, support, region, config.placement, config.is_piled)
 
@@ -286,5 +304,7 @@ class Shelves:
             objects = [self.pool[name] for name in names]
             if self._latest is None:
                 check_crowding(objects, self.config, self._worlds.support)
-            self._latest = names, self._worlds.setup(objects)
+            setup = self._worlds.setup(objects)
+            problem = replace(setup.problem, notes=self._notes)
+            self._latest = names, replace(setup, problem=problem)
         return self._latest[1]

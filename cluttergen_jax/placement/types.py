@@ -45,6 +45,8 @@ class Orientations(struct.PyTreeNode):
         orientation's frame, see `Geometry`.
       surface: f32[M, P, 64, 3]; surface_owner: i32[M]: the upper surface in each orientation, in the object
         frame, see `Geometry`.
+      in_row: i32[K], the orientation in which an object stands in a row, the first for those that never do;
+        None where there are no rows.
     """
 
     is_one: Array
@@ -59,6 +61,7 @@ class Orientations(struct.PyTreeNode):
     is_column: Array
     surface: Array
     surface_owner: Array
+    in_row: Array | None = None
 
     def draw(self, key: Array, index: Array) -> Array:
         """i32: an orientation of object `index`, i32."""

@@ -121,6 +121,12 @@ REFUSED = [
     "--clutter near=0.02 --method packed",
     "--natural --method drop",
     "--natural --tidy",
+    "--arrangements 'row mug'",
+    "--arrangements 'rwo cereal_box' --repeat",
+    "--arrangements 'stack bowl:3'",
+    "--arrangements 'nest dinner_plate' --repeat",
+    "--arrangements 'stack bowl' --repeat --method random",
+    "--method packed --support tray --pool all --num-objects 20",
     "--clearance 0.01",
     "--clearance 5 --method packed",
     "--height free",
@@ -139,8 +145,9 @@ REFUSED = [
     "--surface all --region 0.2x0.2 --support bookcase --pool study",
     "--method pile --min-margin 0.003",
     "--method pile --num-objects 120 --repeat --support tray",
-    "--method pile --support bin-0.20x0.16x0.10 --pool LONG --num-objects 3",
-    "--support bin-0.20x0.16x0.10 --pool LONG --num-objects 3",
+    "--method pile --support bin-0.20x0.16x0.10 --pool LONG --num-objects 4",
+    "--method pile --support bin-0.20x0.16x0.10 --pool LONG --objects plank --num-objects 1",
+    "--support bin-0.20x0.16x0.10 --pool LONG --objects plank box-1 --num-objects 1",
     "--surface shelf_1 --support rack --pool TALL --num-objects 3",
     "--surface shelf_1 --support rack --pool TALL --num-objects 2 --shelf 3",
 ]
@@ -156,7 +163,9 @@ QUICK = [
     "--weights 'mgu*=2'",
     "--surface top:x --support rack",
     "--shelf 5 --num-objects 8",
-    "--method pile --support bin-0.20x0.16x0.10 --pool LONG --num-objects 3",
+    "--method pile --support bin-0.20x0.16x0.10 --pool LONG --num-objects 4",
+    "--arrangements 'row mug'",
+    "--arrangements 'stack bowl:3'",
 ]
 
 

@@ -34,6 +34,11 @@ ASKED = {
     "tidy": ("spread", {"tidy": True}, "tidy"),
     "relations": ("spread", {"relations": ("mug left_of bowl",)}, "relations mug left_of bowl"),
     "roles": ("spread", {"relations": ("a left_of bowl",), "roles": "a=mug*"}, "roles a=mug*"),
+    "arrangements": (
+        "spread",
+        {"arrangements": ("stack bowl:2",), "repeat": True},
+        "arrangements stack bowl:2",
+    ),
     "clearance": ("packed", {"clearance": 0.01}, "clearance 0.01"),
 }
 SMALL = SceneSpec(num_objects=2)

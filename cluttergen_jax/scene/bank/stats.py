@@ -6,19 +6,23 @@ import zlib
 from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
+from functools import lru_cache
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from cluttergen_jax.assets.hollow import hollow_of
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.placement.arranged import count_arranged
+from cluttergen_jax.placement.arrangements import parse_arrangements
 from cluttergen_jax.placement.clutter import NAMES, Clutter
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.progress import time_text
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.record import record_error
 from cluttergen_jax.scene.bank.relation_tally import RelationFailures, RelationTally
-from cluttergen_jax.scene.bank.table import BY_HAND, CERTIFICATE, COUNTED, count_column
+from cluttergen_jax.scene.bank.table import BY_HAND, CERTIFICATE, COUNTED, count_column, rows_of
 from cluttergen_jax.types import Verdict, small_length
 
 _NEAR_ENOUGH = 0.1
@@ -35,7 +39,11 @@ _WORDS = {
     "occlusion": "share hidden, mean",
     "side": "pairs that touch from the side, for each object",
     "lean": "share of the objects that lean",
+    "row": "objects in rows",
+    "stacked": "objects upon their like",
+    "nest": "objects nested in their like",
 }
+_ARRANGED = ("row", "stacked", "nest")
 
 
 @dataclass
@@ -167,16 +175,22 @@ class ClutterTally:
     """
 
     def __init__(self, bank: Bank) -> None:
-        self._targets = _targets(bank)
-        self._number = dict.fromkeys(NAMES, 0)
-        self._sum = dict.fromkeys(NAMES, 0.0)
-        self._num_near = dict.fromkeys(NAMES, 0)
+        self._arranged = _arranged(bank)
+        self._targets = _targets(bank) | self._arranged
+        self._names = (*NAMES, *(name for name in _ARRANGED if name in self._arranged))
+        self._number = dict.fromkeys(self._names, 0)
+        self._sum = dict.fromkeys(self._names, 0.0)
+        self._num_near = dict.fromkeys(self._names, 0)
+        self._asset = lru_cache(maxsize=None)(bank.object)
 
     def add(self, rows: pa.Table) -> None:
         """Counts some more rows."""
         rows = rows.filter(rows["is_success"])
-        for name in NAMES:
-            values = _values(rows, name)
+        found = {name: _values(rows, name) for name in NAMES}
+        if self._arranged:
+            found |= self._count_arranged(rows)
+        for name in self._names:
+            values = found[name]
             self._number[name] += len(values)
             self._sum[name] += float(values.sum())
             if (asked := self._targets.get(name)) is not None:
@@ -184,9 +198,21 @@ class ClutterTally:
                     (np.abs(values - asked) <= _NEAR_ENOUGH * asked + 1e-6).sum()
                 )
 
+    def _count_arranged(self, rows: pa.Table) -> dict[str, np.ndarray]:
+        """f64[N] by name: how many objects of each scene are in rows, stacks and nests."""
+        counts = []
+        for row in rows_of(rows):
+            names = [base_name(name) for name in row.objects]
+            assets = [self._asset(name) for name in names]
+            half = np.array([each.half_extents for each in assets]).reshape(-1, 3)
+            is_hollow = np.array([hollow_of(each) is not None for each in assets], bool)
+            counts.append(count_arranged(names, half, is_hollow, row.poses))
+        columns = np.array(counts, float).reshape(-1, len(_ARRANGED)).T
+        return dict(zip(_ARRANGED, columns, strict=True))
+
     def features(self) -> tuple[FeatureStats, ...]:
         """Those that some row knows."""
-        known = [name for name in NAMES if self._number[name]]
+        known = [name for name in self._names if self._number[name]]
         return tuple(
             FeatureStats(
                 name,
@@ -217,6 +243,22 @@ def _targets(bank: Bank) -> dict[str, float]:
         return Clutter.of(asked).targets if asked else {}
     except (AttributeError, ConfigError) as error:
         raise record_error(bank.path, error) from error
+
+
+def _arranged(bank: Bank) -> dict[str, float]:
+    """How many objects a bank's arrangements put in rows, upon and into their like; none if it has none."""
+    try:
+        asked = parse_arrangements(bank.recipe.get("placement", {}).get("arrangements", ()))
+    except (AttributeError, TypeError, ConfigError) as error:
+        raise record_error(bank.path, error) from error
+    found: dict[str, float] = {}
+    for each in asked:
+        number = each.number if each.kind == "row" else each.number - 1
+        # What is nested is upon its like as well.
+        names = {"row": ("row",), "stack": ("stacked",), "nest": ("stacked", "nest")}[each.kind]
+        for name in names:
+            found[name] = found.get(name, 0) + number
+    return found
 
 
 _SHOWN_GROUPS = 5
