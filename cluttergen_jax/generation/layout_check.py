@@ -22,11 +22,11 @@ from cluttergen_jax.assets.pool import Pool, find_pool
 from cluttergen_jax.config import Poses
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest, first_names
 from cluttergen_jax.learning.methods import DEFAULT_METHOD
+from cluttergen_jax.placement.arrangements import Arrangement, parse_arrangements
 from cluttergen_jax.placement.clutter import NAMES, Clutter
 from cluttergen_jax.placement.config import MAX_SLOTS
 from cluttergen_jax.placement.problem import check_objects
 from cluttergen_jax.placement.related import relate_objects
-from cluttergen_jax.placement.arrangements import Arrangement, parse_arrangements
 from cluttergen_jax.placement.relations import (
     KINDS,
     MOST_GAP,
@@ -110,8 +110,8 @@ class Layout(msgspec.Struct, forbid_unknown_fields=True):
     arrangements: Annotated[
         list[str],
         _about(
-            "What is made of equal things besides, each 'KIND CONDITION:NUMBER': row (upright side by side, as "
-            "books), stack (one upon the other), nest (one inside of the other). The condition is of objects "
+            "What is made of equal things besides, each 'KIND CONDITION:NUMBER': row (upright, side by side, "
+            "as books), stack (one upon the other), nest (one inside of the other). The condition is of objects "
             "of the pool, as in `objects`.",
             examples=[["row label=*book*:4", "stack dinner_plate:3", "nest bowl:2"]],
         ),
@@ -484,7 +484,7 @@ def meaning_faults(
         try:
             Arrangement.parse(text)
         except ConfigError as error:
-            yield LayoutFault(f"arrangements[{place}]", error.given, error.allowed, error.hint)
+            yield LayoutFault.of(f"arrangements[{place}]", error)
     relations: list[Relation] = []
     for place, text in enumerate(layout.relations):
         path = f"relations[{place}]"

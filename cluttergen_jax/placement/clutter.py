@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from numbers import Real
 
-from cluttergen_jax.errors import ConfigError, closest, range_text
+from cluttergen_jax.errors import ConfigError, closest
 
 _EXAMPLE = "clutter='stack=3,occlusion=0.2'"
 
@@ -90,9 +90,8 @@ class Clutter:
         for name, value in self.targets.items():
             if value > most.get(name, math.inf):
                 given = f"clutter {name}={value:g} with {num_objects} objects"
-                raise ConfigError(
-                    given, range_text(0, most[name]), f"clutter='{name}={most[name]}'"
-                )
+                allowed = f"0 to {most[name]:g}"
+                raise ConfigError(given, allowed, f"clutter='{name}={most[name]:g}'")
 
     def __str__(self) -> str:
         return ",".join(f"{name}={value:g}" for name, value in self.targets.items())
