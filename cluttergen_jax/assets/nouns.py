@@ -1,0 +1,56 @@
+"""Nouns of things, and what kind of thing each is: a part of WordNet 3.0, whose notice heads its file.
+
+`studies/make_nouns.py` makes the file. A synset is written as word.n.number, as NLTK and many data sets do.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+NOUNS_FILE = Path(__file__).with_name("nouns.tsv")
+
+
+@dataclass(frozen=True, eq=False)
+class Nouns:
+    """Synsets and what is above them.
+
+    Attributes:
+      above: the hypernyms of each synset, as far as they are kept.
+      senses: the synsets of each word, its most frequent sense first; words have spaces, not underscores.
+    """
+
+    above: dict[str, tuple[str, ...]]
+    senses: dict[str, tuple[str, ...]]
+
+    def hypernyms(self, synset: str) -> list[str]:
+        """The synset itself and all above it, nearest first; only itself if it is not known."""
+        found = {synset: None}
+        pending = deque([synset])
+        while pending:
+            for each in self.above.get(pending.popleft(), ()):
+                if each not in found:
+                    found[each] = None
+                    pending.append(each)
+        return list(found)
+
+
+@cache
+def read_nouns() -> Nouns:
+    """Those that come with the package."""
+    above = {}
+    numbered: dict[str, list[tuple[int, str]]] = {}
+    for line in NOUNS_FILE.read_text("ascii").splitlines():
+        if line.startswith("#"):
+            continue
+        synset, hypernyms, also = line.split("\t")
+        above[synset] = tuple(hypernyms.split())
+        for each in (synset, *also.split()):
+            word, _, number = each.rsplit(".", 2)
+            numbered.setdefault(word.replace("_", " "), []).append((int(number), synset))
+    senses = {
+        word: tuple(synset for _, synset in sorted(found)) for word, found in numbered.items()
+    }
+    return Nouns(above, senses)
