@@ -62,6 +62,7 @@ Containment = Literal["center", "footprint"]
 Overhang = Literal["any", "half", "none"]
 Height = Literal["rest", "free"]
 Poses = Literal["upright", "resting", "any"]
+Seat = Literal["-y", "+y", "-x", "+x"]
 OtherEngine = Literal["drake", "pybullet", "isaac"]
 RelationKind = Literal[
     "on", "in", "next_to", "far_from", "left_of", "right_of", "in_front_of", "behind", "aligned"

@@ -24,6 +24,7 @@ from cluttergen_jax.config import (
     OtherEngine,
     Overhang,
     Poses,
+    Seat,
     Setting,
     StabilityConfig,
     check_engine,
@@ -85,6 +86,7 @@ class SceneOptions(TypedDict, total=False):
     repeat: bool
     shelf: int | None
     weights: str | Mapping[str, float]
+    theme: str
     balance: Balance
     support: str | Path
     surface: str
@@ -104,6 +106,8 @@ class SceneOptions(TypedDict, total=False):
     overhang: Overhang
     clutter: str | Mapping[str, float] | None
     natural: bool
+    sense: str | Path
+    seat: Seat
     tidy: bool
     height: Height
     poses: Poses
@@ -135,6 +139,8 @@ class SceneSpec(PlacementRequest):
         more, or twice as many as a scene has where that is more than 64.
       weights: by which a shelf is drawn, "mug*=3; label=*book*=0.5": conditions as those of `objects`, and
         what an object's chance is multiplied by; 0 leaves it out. In Python also a mapping.
+      theme: only objects of an occasion, by the same table as `natural`: "breakfast", "dinner", "desk",
+        "cooking", "tools", "bathroom" or "play".
       balance: "objects", each is as likely to be on a shelf; or "label", "synset", "licence" or "source": of
         each of their values a shelf has as many, while there are some.
       support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size, "bin-0.50x0.30x0.20" a
@@ -172,7 +178,12 @@ class SceneSpec(PlacementRequest):
         objects of those below; contacts, touching pairs; near, mean distance to the nearest object (m);
         occlusion, mean hidden share of an object. As text "stack=3,near=0.02"; in Python also a mapping.
         Method "packed" takes stack alone: at most so many objects on others, where the top has no room.
-      natural: prefer wide, flat objects below and small ones on top (methods "guided", "spread").
+      natural: place things as people leave them, by a table of what is usually on, in and beside what, and how
+        it is turned: its sides along those of the region, or its front to the seat (methods "guided",
+        "spread"). What is in no kind of the table may be anywhere, wide and flat things below small ones.
+      sense: your own table for `natural` and `theme`: a YAML file like the package's
+        (`cluttergen_jax/assets/scene_sense.yaml`).
+      seat: the side of the region at which someone sits, for `natural`: "-y", "+y", "-x" or "+x".
       tidy: keep room instead of spreading objects out: more objects fit, but scenes are less diverse (methods
         "guided", "spread").
       height: from which `random` releases an object: "rest", 1 mm above its resting height on the bare top;
@@ -208,6 +219,7 @@ class SceneSpec(PlacementRequest):
     repeat: bool = False
     shelf: int | None = None
     weights: str | Mapping[str, float] = ""
+    theme: str = ""
     balance: Balance = "objects"
     support: str | Path = "table"
     surface: str = ""
@@ -273,7 +285,7 @@ class SceneSpec(PlacementRequest):
         # Equal requests are equal, and can be hashed, whatever kind of sequence or path was given.
         for name in ("objects", "exclude", "keep_out", "relations"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
-        for name in ("pool", "support"):
+        for name in ("pool", "support", "sense"):
             object.__setattr__(self, name, str(getattr(self, name)))
         if self.clutter is not None:
             object.__setattr__(self, "clutter", Clutter.of(self.clutter))
@@ -436,7 +448,7 @@ class SceneSpec(PlacementRequest):
         from cluttergen_jax.assets.facts import is_plain_name
         from cluttergen_jax.assets.pool import find_pool
 
-        if self.objects and all(map(is_plain_name, self.objects)):
+        if self.objects and all(map(is_plain_name, self.objects)) and not self.theme:
             return None
         return find_pool(self.pool_text)
 
@@ -469,6 +481,12 @@ class SceneSpec(PlacementRequest):
         chosen = tuple(self.objects)
         if not all(map(is_plain_name, chosen)):
             chosen = chosen_names((found or find_pool(pool)).facts, chosen, pool)
+        if self.theme:
+            from cluttergen_jax.assets.sense import read_sense
+
+            facts = (found or find_pool(pool)).facts
+            kept = [each for each in facts if not chosen or each.name in chosen]
+            chosen = read_sense(str(self.sense)).in_theme(self.theme, kept, pool)
         available = len(chosen) or len(found or find_pool(pool))
         weights = self._weights()
         is_drawn = (

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, fields
 from numbers import Integral, Real
 from typing import TYPE_CHECKING, get_args
 
-from cluttergen_jax.config import Containment, Height, Order, Overhang, Poses, Reward
+from cluttergen_jax.config import Containment, Height, Order, Overhang, Poses, Reward, Seat
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.placement.clutter import Clutter
 from cluttergen_jax.placement.relations import conditions_of, parse_relations, parse_roles
@@ -49,6 +49,7 @@ _WORDS = {
     "overhang": get_args(Overhang),
     "height": get_args(Height),
     "poses": get_args(Poses),
+    "seat": get_args(Seat),
 }
 """What settings of words allow."""
 
@@ -70,6 +71,8 @@ class PlacementRequest:
     overhang: Overhang = "any"
     clutter: str | Mapping[str, float] | Clutter | None = None
     natural: bool = False
+    sense: str = ""
+    seat: Seat = "-y"
     tidy: bool = False
     height: Height = "rest"
     poses: Poses = "upright"

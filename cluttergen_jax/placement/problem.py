@@ -28,6 +28,7 @@ from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.containers import BELOW_RIM, INNER, draw_contents
 from cluttergen_jax.placement.heightmap import HeightMap, make_support_map
 from cluttergen_jax.placement.methods.baselines import costs_of_staying
+from cluttergen_jax.placement.natural import Natural
 from cluttergen_jax.placement.orientations import MAX_RESTING, make_orientations
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
 from cluttergen_jax.placement.related import IN, relate_objects
@@ -226,6 +227,9 @@ def compose(
         map_radius=None if sizes is None else sizes.radius,
         related=related,
     )
+    if config.placement.natural:
+        asked_sense = (config.placement.sense, config.placement.seat)
+        rules = rules.replace(natural=Natural.of(world.objects, *asked_sense))
     if support.named and len(support.asked) > 1:
         rules = _on_surfaces(rules, region, support, world)
     if config.change != "none":
