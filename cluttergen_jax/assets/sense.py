@@ -18,6 +18,7 @@ from typing import Literal, Protocol, get_args
 import msgspec
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
+from trimesh.bounds import oriented_bounds_2D
 
 from cluttergen_jax.assets.nouns import Nouns, read_nouns
 from cluttergen_jax.assets.object import ObjectAsset
@@ -96,7 +97,7 @@ class SenseArrays:
       stands: i32[K], places in `STANDS`.
       zone: f32[K], 1 at the front of the table, -1 at the back, 0 anywhere.
       on_table: bool[K], False for what does not belong on a table.
-      is_long_in_y: bool[K], the box around it is longer along y than along x.
+      heading: f32[K], radians, of its longer side in plan, object frame.
     """
 
     kinds: tuple[str, ...]
@@ -108,7 +109,7 @@ class SenseArrays:
     stands: np.ndarray
     zone: np.ndarray
     on_table: np.ndarray
-    is_long_in_y: np.ndarray
+    heading: np.ndarray
 
     @property
     def is_free(self) -> np.ndarray:
@@ -233,7 +234,6 @@ class SceneSense:
     def arrays(self, objects: Sequence[ObjectAsset]) -> SenseArrays:
         """What the table says of K objects."""
         kinds = tuple(map(self.kind_of, objects))
-        number = len(kinds)
         free = np.array([kind == FREE for kind in kinds])
         is_free = free[:, None] | free
         found = {}
@@ -243,8 +243,9 @@ class SceneSense:
         usual = found["on"] | found["in"]
         never = np.array([kind in self.kinds and self.kinds[kind].carries == "never" for kind in kinds])
         each = [self.kinds.get(kind, Kind()) for kind in kinds]
-        plan = [(one.turn or _turn_of_shape(asset)) for one, asset in zip(each, objects, strict=True)]
-        half = np.array([asset.half_extents for asset in objects]).reshape(number, 3)
+        shapes = [_plan_of(asset) for asset in objects]
+        by_shape = ["edge" if shape.is_box_like or shape.is_long else "free" for shape in shapes]
+        turns = [one.turn or other for one, other in zip(each, by_shape, strict=True)]
         zones = {"": 0.0, "front": 1.0, "back": -1.0}
         beside = found["beside"] | found["beside"].T
         weights = {
@@ -257,11 +258,11 @@ class SceneSense:
             weight_in=weights["in"].astype(np.float32),
             weight_beside=np.where(beside, USUAL, 1.0).astype(np.float32),
             never_carries=never[None, :] & ~usual,
-            turn=np.array([TURNS.index(turn) for turn in plan], np.int32),
+            turn=np.array([TURNS.index(turn) for turn in turns], np.int32),
             stands=np.array([STANDS.index(one.stands) for one in each], np.int32),
             zone=np.array([zones[one.zone] for one in each], np.float32),
             on_table=np.array([one.table for one in each]),
-            is_long_in_y=half[:, 1] > half[:, 0],
+            heading=np.array([shape.heading for shape in shapes], np.float32),
         )
 
 
@@ -351,14 +352,46 @@ def _singulars(phrase: str) -> list[str]:
     return [phrase[: -len(end)] + one for end, one in endings if phrase.endswith(end)]
 
 
-@cache
-def _turn_of_shape(asset: ObjectAsset) -> Turn:
-    """How a thing is turned of which no table says it: along the edges if it is box-like or long in plan."""
-    x, y = 2 * asset.half_extents[:2]
-    if max(x, y) > _LONG * min(x, y):
-        return "edge"
+@dataclass(frozen=True)
+class PlanShape:
+    """What something is like, seen from above.
+
+    Attributes:
+      heading: radians, of the longer side of the smallest rectangle around it.
+      sides: metres, of that rectangle, the longer one first.
+      fill: the share of the rectangle that its convex hull fills.
+    """
+
+    heading: float
+    sides: tuple[float, float]
+    fill: float
+
+    @property
+    def is_box_like(self) -> bool:
+        """Whether its sides show how it is turned, as those of what is round do not."""
+        return self.fill >= _BOX_SHARE
+
+    @property
+    def is_long(self) -> bool:
+        """Whether one side is far longer than the other."""
+        return self.sides[0] > _LONG * self.sides[1]
+
+
+def plan_shape(points: np.ndarray) -> PlanShape:
+    """The shape in plan of points f64[N, 2 or 3], metres, z up."""
+    xy = np.asarray(points, float)[:, :2]
     try:
-        area = ConvexHull(asset.vertices[:, :2]).volume
+        area = ConvexHull(xy).volume
+        to_box, extents = oriented_bounds_2D(xy)
     except QhullError:
-        return "edge"
-    return "edge" if area >= _BOX_SHARE * x * y else "free"
+        # All on one line.
+        return PlanShape(0.0, (1.0, 1.0), 0.0)
+    longer = int(extents[1] > extents[0])
+    x, y = to_box[longer, :2]
+    sides = (float(extents[longer]), float(extents[1 - longer]))
+    return PlanShape(float(np.arctan2(y, x)), sides, float(area / np.prod(extents)))
+
+
+@cache
+def _plan_of(asset: ObjectAsset) -> PlanShape:
+    return plan_shape(asset.vertices)

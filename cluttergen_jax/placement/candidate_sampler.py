@@ -163,10 +163,11 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         logits = jnp.zeros(trust.shape)
         may_count = None
         if (natural := rules.natural) is not None:
-            xy = found.candidates.xy
-            logits = natural.logits(episode, rules.geometry, focus, xy, candidates.supporters)
+            logits = natural.logits(episode, rules.geometry, focus, candidates)
             # Targets are met by what makes sense, or not at all.
-            may_count = natural.is_sensible(focus, candidates.supporters)
+            may_count = natural.is_sensible(
+                episode, rules.geometry, focus, candidates.supporters
+            )
         if rules.config.clutter is None:
             return logits, asked
         at = Placing.of(

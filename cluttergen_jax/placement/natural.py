@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -15,11 +16,14 @@ from flax import struct
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.sense import TURNS, UNUSUAL, USUAL, SenseArrays, sense_of
-from cluttergen_jax.placement.boxes import footprint_area
+from cluttergen_jax.placement.boxes import Boxes, footprint_area
 from cluttergen_jax.placement.features import Supporters
 from cluttergen_jax.placement.search import Candidates, SearchScene
 from cluttergen_jax.placement.types import Episode, Geometry
 from cluttergen_jax.types import Array
+
+if TYPE_CHECKING:
+    from cluttergen_jax.placement.candidate_sampler import CandidateSet
 
 SEATS = {"-y": -math.pi / 2, "+y": math.pi / 2, "-x": math.pi, "+x": 0.0}
 """Radians: where the seat is, as seen from the middle of the region, in the region's frame."""
@@ -36,6 +40,9 @@ _ROUGHLY = math.radians(25.0)
 _NEAR = 0.06
 """Metres between circles around objects; what is usually beside another is drawn to it where it is nearer."""
 _ZONE_POWER = 1.5
+_HANGING_POWER = 12.0
+_TALL = 1.5
+"""Times its smaller side in plan: what is taller carries nothing usually."""
 _FARTHEST = 0.05
 """Metres from a neighbour, at most, at which candidates beside it are tried."""
 _FREE, _EDGE, _ALONG, _TOWARDS, _FRONT = map(
@@ -47,20 +54,23 @@ class Natural(struct.PyTreeNode):
     """What is known of how K objects are left by people.
 
     Attributes:
-      log_carried: f32[K, K], row: an object, column: what would carry or hold it: the logarithm of the weight.
+      log_on, log_in: f32[K, K], row: an object, column: what would carry or hold it: logarithms of weights.
       is_usual: bool[K, K], the same: it is usually on or in it; is_beside: bool[K, K], usually beside it.
       is_banned: bool[K, K], the same: the column carries nothing, this object included.
       turn: i32[K], places in `assets.sense.TURNS`.
+      heading: f32[K], radians, of its longer side in plan, object frame.
       zone: f32[K], 1 at the front of the region, -1 at its back, 0 anywhere.
       on_table: bool[K], False for what belongs on no table: it is drawn where nothing else is left.
       seat: radians, see `SEATS`.
     """
 
-    log_carried: Array
+    log_on: Array
+    log_in: Array
     is_usual: Array
     is_beside: Array
     is_banned: Array
     turn: Array
+    heading: Array
     zone: Array
     on_table: Array
     seat: float = struct.field(pytree_node=False, default=SEATS["-y"])
@@ -75,47 +85,68 @@ class Natural(struct.PyTreeNode):
         found: SenseArrays = sense_of(objects, sense)
         weight = np.maximum(found.weight_on, found.weight_in)
         return Natural(
-            log_carried=jnp.asarray(np.log(weight), jnp.float32),
+            log_on=jnp.asarray(np.log(found.weight_on), jnp.float32),
+            log_in=jnp.asarray(np.log(found.weight_in), jnp.float32),
             is_usual=jnp.asarray(weight >= USUAL),
             is_beside=jnp.asarray(found.weight_beside >= USUAL),
             is_banned=jnp.asarray(found.never_carries),
             turn=jnp.asarray(found.turn),
+            heading=jnp.asarray(found.heading),
             zone=jnp.asarray(found.zone),
             on_table=jnp.asarray(found.on_table),
             seat=SEATS[seat],
         )
 
     def logits(
-        self, episode: Episode, geometry: Geometry, focus: Array, xy: Array, supporters: Supporters
+        self, episode: Episode, geometry: Geometry, focus: Array, candidates: CandidateSet
     ) -> Array:
         """f32[N]: log weights of candidates for the current object, up to a constant.
 
         On objects the weight is w min(1, A / a)^2 s: w of the table, the least of all that would carry it; a the
         footprint of the object's box, A that of the largest object that would carry it, s the share of its base
         that would touch. On the support it is larger beside what it usually is beside. Both times
-        exp(1.5 z t), with z its zone and t from -1 at the back of the region to 1 at the front.
-
-        Args:
-          xy: f32[N, 2], positions in the region's frame.
+        exp(1.5 z t - 12 h): z its zone, t from -1 at the back of the region to 1 at the front, h the share of the
+        object that would hang beyond the support.
         """
+        supporters = candidates.supporters
+        found = candidates.found
+        xy = found.candidates.xy
         area = footprint_area(geometry.half_extents)
         widest = jnp.max(jnp.where(supporters.touched, area, 0.0), axis=1)
         width = jnp.minimum(jnp.log(jnp.maximum(widest, 1e-8) / area[focus]), 0.0)
         base = jnp.log(jnp.clip(supporters.base, _LEAST_BASE, 1.0))
-        carried = jnp.min(jnp.where(supporters.touched, self.log_carried[focus], jnp.inf), axis=1)
+        log_carried = self._log_carried(episode, geometry, focus)
+        carried = jnp.min(jnp.where(supporters.touched, log_carried, jnp.inf), axis=1)
         on_objects = _AREA_POWER * width + _BASE_POWER * base + carried
         near = jnp.any(self._is_near(episode, geometry, focus, xy), axis=1)
         on_support = jnp.where(near, math.log(USUAL), 0.0)
         front = jnp.array([math.cos(self.seat), math.sin(self.seat)])
-        half = episode.region.half_extents
-        reach = jnp.maximum(jnp.abs(front) @ half, 1e-3)
+        reach = jnp.maximum(jnp.abs(front) @ episode.region.half_extents, 1e-3)
         zone = _ZONE_POWER * self.zone[focus] * (xy @ front) / reach
-        return jnp.where(supporters.is_on, on_objects, on_support) + zone
+        hanging = _HANGING_POWER * found.scores.fit.hanging
+        return jnp.where(supporters.is_on, on_objects, on_support) + zone - hanging
 
-    def is_sensible(self, focus: Array, supporters: Supporters) -> Array:
+    def _log_carried(self, episode: Episode, geometry: Geometry, focus: Array) -> Array:
+        """f32[K]: logarithms of the weights with which objects carry or hold the current one.
+
+        What stands taller than it is wide carries nothing usually, whatever its kind does when it lies.
+        """
+        sides = jnp.abs(Boxes.of(geometry.half_extents, episode.safe_poses).sides)
+        upright = jnp.argmax(sides[..., 2], axis=1)
+        lengths = 2 * geometry.half_extents
+        height = jnp.take_along_axis(lengths, upright[:, None], axis=1)[:, 0]
+        is_side = jnp.arange(3) != upright[:, None]
+        width = jnp.min(jnp.where(is_side, lengths, jnp.inf), axis=1)
+        is_tall = height > _TALL * width
+        log_on = self.log_on[focus] + jnp.where(is_tall, math.log(UNUSUAL), 0.0)
+        return jnp.maximum(log_on, self.log_in[focus])
+
+    def is_sensible(
+        self, episode: Episode, geometry: Geometry, focus: Array, supporters: Supporters
+    ) -> Array:
         """bool[N]: nothing unusual would carry the current object."""
-        unusual = self.log_carried[focus] < math.log(UNUSUAL) / 2
-        return ~jnp.any(supporters.touched & unusual, axis=1)
+        is_unusual = self._log_carried(episode, geometry, focus) < math.log(UNUSUAL) / 2
+        return ~jnp.any(supporters.touched & is_unusual, axis=1)
 
     def is_allowed(self, focus: Array, supporters: Supporters) -> Array:
         """bool[N]: nothing that carries nothing would carry the current object."""
@@ -144,7 +175,8 @@ class Natural(struct.PyTreeNode):
         side = jax.random.randint(key_side, (number,), 0, 4) * (jnp.pi / 2)
         end = jnp.mod(side, jnp.pi) * 2
         lengthwise = jnp.where(half[1] > half[0], jnp.pi / 2, 0.0)
-        usual = jnp.where(turn == _TOWARDS, self.seat - lengthwise + end, side)
+        lengthwise = jnp.where(is_upright, self.heading[scene.focus], lengthwise)
+        usual = jnp.where(turn == _TOWARDS, self.seat - lengthwise + end, side - lengthwise)
         usual = jnp.where(turn == _ALONG, self.seat + jnp.pi / 2 - lengthwise + end, usual)
         # The front is the -y side, as in glTF.
         usual = jnp.where(has_front, self.seat + jnp.pi / 2, usual)
