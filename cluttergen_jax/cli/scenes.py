@@ -69,13 +69,13 @@ def run_certify(options: Options) -> None:
     )
 
 
-@command(judge, paths=Positional[tuple[str, ...]], states=str | None)
+@command(judge, paths=Positional[tuple[str, ...]], states=str | None, sense=bool)
 def run_judge(options: Options) -> int:
     """Judge anybody's scenes by one strict rule: MJCF, URDF, SDF or USD files, or arrays of starts.
 
     Exit status 1 if a file could not be judged; the others are.
 
-    Example: `cluttergen judge kitchen.xml --states starts.npz --hold-joints --out judged`
+    Example: `cluttergen judge kitchen.xml --states starts.npz --hold-joints --sense --out judged`
     """
     report = options.call(judge)
     print(report)

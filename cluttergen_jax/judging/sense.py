@@ -72,6 +72,16 @@ class SenseFindings:
         """The share of things with a usual neighbour in their scene that are near one; None likewise."""
         return _share(self.num_near, self.num_paired)
 
+    def row_of(self, name: str) -> dict[str, str | bool | None]:
+        """What carries a thing, and whether that is usual; None where it is not known or nothing does."""
+        lists = {True: self.usual, False: self.unusual, None: self.unknown}
+        found = [(lower, how) for how, pairs in lists.items() for upper, lower in pairs if upper == name]
+        known = [how for _, how in found if how is not None]
+        return {
+            "carried_by": ", ".join(sorted(lower for lower, _ in found)),
+            "is_usual": all(known) if known else None,
+        }
+
     def lines(self) -> list[str]:
         """For people."""
         number = len(self.usual) + len(self.unusual)

@@ -39,8 +39,8 @@ _NEARLY = math.radians(3.5)
 _ROUGHLY = math.radians(25.0)
 _NEAR = 0.06
 """Metres between circles around objects; what is usually beside another is drawn to it where it is nearer."""
-_ZONE_POWER = 1.5
-_HANGING_POWER = 12.0
+_ZONE_POWER = 2.5
+_HANGING_POWER = 25.0
 _TALL = 1.5
 """Times its smaller side in plan: what is taller carries nothing usually."""
 _FARTHEST = 0.05
@@ -105,7 +105,7 @@ class Natural(struct.PyTreeNode):
         On objects the weight is w min(1, A / a)^2 s: w of the table, the least of all that would carry it; a the
         footprint of the object's box, A that of the largest object that would carry it, s the share of its base
         that would touch. On the support it is larger beside what it usually is beside. Both times
-        exp(1.5 z t - 12 h): z its zone, t from -1 at the back of the region to 1 at the front, h the share of the
+        exp(2.5 z t - 25 h): z its zone, t from -1 at the back of the region to 1 at the front, h the share of the
         object that would hang beyond the support.
         """
         supporters = candidates.supporters
