@@ -27,9 +27,19 @@ ROBUST = "robust"
 FREE_HEIGHT = "free height"
 
 _PAPERS = SceneSpec(method="random", num_objects=10, setting="paper")
-_PLACE = ("objects", "shelf", "weights", "balance", "surface", "keep_out", "start")
+_PLACE = ("objects", "shelf", "weights", "theme", "balance", "surface", "keep_out", "start")
 """Fields of a request that say what is placed where."""
-_RULES = ("natural", "relations", "roles", "overhang", "containment", "for_engine", "clearance")
+_RULES = (
+    "natural",
+    "sense",
+    "seat",
+    "relations",
+    "roles",
+    "overhang",
+    "containment",
+    "for_engine",
+    "clearance",
+)
 """Fields that say by which rules, beside those that every row has."""
 _NUMBER = r"(?:\d+\.?\d*|\.\d+)"
 _SIDES = re.compile(f"{_NUMBER}x{_NUMBER}")

@@ -31,7 +31,7 @@ from cluttergen_jax.geometry import rotate
 from cluttergen_jax.importing.readers.mjcf import Geom
 from cluttergen_jax.importing.readers.model import convex_parts
 from cluttergen_jax.judging.scene_files import find_scenes, read_model, read_starts
-from cluttergen_jax.judging.sense import SenseFindings, find_sense, kind_of_name
+from cluttergen_jax.judging.sense import GAP, SenseFindings, find_sense, kind_of_name
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.margin import MIN_LIFT
 from cluttergen_jax.physics.standing import has_moved, horizons_of, keep_awake, watch
@@ -42,8 +42,6 @@ from cluttergen_jax.rendering.picture import contact_sheet, render_model, save_p
 from cluttergen_jax.rendering.renderer import HIDDEN_GROUP
 from cluttergen_jax.tables import aligned_table
 
-GAP = 0.001
-"""Metres between two bodies up to which they count as touching, when it is asked what floats."""
 AT_ONCE = 0.05
 """Seconds within which what has nothing below and sinks by more than `GAP` floats: free fall is 12 mm."""
 FALL = 0.05
@@ -307,7 +305,7 @@ def judge_start(
         if config.sense is not None:
             # The contacts are those of bodies up to `GAP` apart, as `_find_supports` left them.
             sense = find_sense(
-                model, data, bodies.ids, bodies.names, bodies.is_shape, config.sense, gap=GAP
+                model, data, bodies.ids, bodies.names, bodies.is_shape, config.sense
             )
         motion = _Motion(model, data, bodies, config.hold_joints)
         shift, turn = motion.run(config.seconds)

@@ -4,16 +4,27 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass
+from functools import cache, lru_cache
+from itertools import islice
 from types import SimpleNamespace
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
 from cluttergen_jax.assets.sense import FREE, SceneSense, plan_shape
 from cluttergen_jax.importing.readers.mjcf import Geom
+from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.margin import MIN_LIFT
+from cluttergen_jax.placement.world import World, base_name, compile_layout
 
+if TYPE_CHECKING:
+    from cluttergen_jax.scene.bank import Bank
+
+GAP = 0.001
+"""Metres between two bodies up to which they count as touching."""
 NEAR = 0.10
 """Metres between circles around two things up to which they are near each other."""
 EDGE_DEGREES = 5.0
@@ -82,6 +93,16 @@ class SenseFindings:
             "is_usual": all(known) if known else None,
         }
 
+    def record(self) -> dict[str, float | int | None]:
+        """JSON values."""
+        return {
+            "usual_pairs": self.usual_pairs,
+            "num_pairs": len(self.usual) + len(self.unusual),
+            "along_edges": self.along_edges,
+            "near_neighbours": self.near_neighbours,
+            "num_free": len({*self.free}),
+        }
+
     def lines(self) -> list[str]:
         """For people."""
         number = len(self.usual) + len(self.unusual)
@@ -123,50 +144,132 @@ def find_sense(
     is_shape: np.ndarray,
     sense: SceneSense,
     kinds: Sequence[str] | None = None,
-    gap: float = 0.001,
+    gap: float = GAP,
 ) -> SenseFindings:
     """What a table says of a scene at its start.
 
     Args:
-      model, data: at the start, positions and contacts computed; neither is changed.
+      model, data: at the start, positions and contacts of bodies up to `gap` apart computed; read alone.
       bodies: the ids of the things; names: of each.
       is_shape: bool[ngeom], the geoms that are their shapes.
       kinds: of each thing; by its name if not given.
       gap: metres between two things up to which they touch.
     """
     kinds = [kind_of_name(name, sense) for name in names] if kinds is None else list(kinds)
-    place = np.full(model.nbody, -1)
-    place[list(bodies)] = np.arange(len(bodies))
-    owner = place[model.body_rootid[model.geom_bodyid]]
-    pairs: list[list[tuple[str, str]]] = [[], [], []]
-    for upper, lower in sorted(_carried_pairs(model, data, owner, gap)):
-        pair = (names[upper], names[lower])
-        if FREE in (kinds[upper], kinds[lower]):
-            pairs[2].append(pair)
-            continue
-        usual = any(sense.is_usual(how, kinds[lower], kinds[upper]) for how in ("on", "in"))
-        pairs[0 if usual else 1].append(pair)
-    points = [_points(model, data, np.flatnonzero((owner == one) & is_shape)) for one in range(len(bodies))]
+    number = len(kinds)
+    owner = _owners(model, bodies)
+    usual, unusual, unknown = _judged_pairs(model, data, owner, names, kinds, sense, gap)
+    points = [
+        _points(model, data, np.flatnonzero((owner == one) & is_shape)) for one in range(number)
+    ]
     shapes = [plan_shape(each) for each in points]
     edges = _edges(model, data, owner, gap)
-    turns = [shape.heading - edges.get(one, 0.0) for one, shape in enumerate(shapes) if shape.is_box_like]
-    off = np.abs((np.array(turns) + np.pi / 4) % (np.pi / 2) - np.pi / 4)
+    boxes = [one for one, shape in enumerate(shapes) if shape.is_box_like]
+    turns = np.array([shapes[one].heading - edges.get(one, 0.0) for one in boxes])
+    off = np.abs((turns + np.pi / 4) % (np.pi / 2) - np.pi / 4)
     beside = [
-        [one != two and _are_neighbours(kinds[one], kinds[two], sense) for two in range(len(kinds))]
-        for one in range(len(kinds))
+        [one != two and _are_neighbours(kinds[one], kinds[two], sense) for two in range(number)]
+        for one in range(number)
     ]
+    is_beside = np.array(beside, bool).reshape(number, number)
     centers = np.array([each[:, :2].mean(0) for each in points]).reshape(-1, 2)
     radii = np.array([sum(shape.sides) / 4 for shape in shapes])
     distance = np.linalg.norm(centers[:, None] - centers, axis=-1) - radii[:, None] - radii
-    is_beside = np.array(beside, bool).reshape(len(kinds), len(kinds))
     return SenseFindings(
-        *map(tuple, pairs),
-        num_boxes=len(turns),
+        usual=usual,
+        unusual=unusual,
+        unknown=unknown,
+        num_boxes=len(boxes),
         num_along=int((off <= np.radians(EDGE_DEGREES)).sum()),
         num_paired=int(is_beside.any(1).sum()),
         num_near=int((is_beside & (distance <= NEAR)).any(1).sum()),
         free=tuple(name for name, kind in zip(names, kinds, strict=True) if kind == FREE),
     )
+
+
+def sense_of_bank(bank: Bank, sense: SceneSense, most: int = 1000) -> SenseFindings:
+    """What a table says of the scenes of a bank that stand, of `most` at most, the first ones."""
+    rows = islice((row for row in bank.scenes() if row.is_success), most)
+    asset_of = cache(lambda name: bank.object(base_name(name)))
+
+    @lru_cache(maxsize=8)
+    def layout_of(names: tuple[str, ...]) -> Layout:
+        objects = [asset_of(name) for name in names]
+        return compile_layout(names, objects, bank.support, bank.stability, bank.contact)
+
+    found = []
+    for row in rows:
+        order = np.argsort(row.objects)
+        names = tuple(row.objects[place] for place in order)
+        layout = layout_of(names)
+        kinds = [sense.kind_of(asset_of(name)) for name in names]
+        data = _standing(layout, np.arange(len(names)), row.poses[order])
+        # Objects collide by their parts, and are drawn by other geoms.
+        is_shape = layout.model.geom_contype != 0
+        found.append(
+            find_sense(layout.model, data, layout.body_index, names, is_shape, sense, kinds)
+        )
+    return SenseFindings.total(found)
+
+
+def find_usual_pairs(
+    world: World,
+    object_index: np.ndarray,
+    is_placed: np.ndarray,
+    poses: np.ndarray,
+    sense: SceneSense,
+) -> SenseFindings:
+    """Who carries whom in N scenes of S slots of a world, and whether that is usual; nothing else is looked at.
+
+    Args:
+      object_index: i[N, S]; is_placed: bool[N, S]; poses: f[N, S, 7], world, metres, wxyz.
+    """
+    layout = world.layout
+    kinds = [sense.kind_of(asset) for asset in world.objects]
+    owner = _owners(layout.model, layout.body_index)
+    found = []
+    for index, placed, of_slots in zip(object_index, is_placed, poses, strict=True):
+        data = _standing(layout, index[placed], of_slots[placed])
+        pairs = _judged_pairs(layout.model, data, owner, world.names, kinds, sense, GAP)
+        found.append(SenseFindings(*pairs))
+    return SenseFindings.total(found)
+
+
+def _standing(layout: Layout, objects: np.ndarray, poses: np.ndarray) -> mujoco.MjData:
+    """Some of a layout's objects at poses f[n, 7], the others parked; with contacts up to `GAP` apart."""
+    model = copy(layout.model)
+    model.geom_margin[:] = np.maximum(model.geom_margin, GAP)
+    data = mujoco.MjData(model)
+    qpos = layout.parked
+    qpos[objects] = poses
+    data.qpos[:] = qpos.ravel()
+    mujoco.mj_fwdPosition(model, data)
+    return data
+
+
+def _owners(model: mujoco.MjModel, bodies: Sequence[int]) -> np.ndarray:
+    """i[ngeom]: the place among bodies of the one that a geom belongs to, -1 for none."""
+    place = np.full(model.nbody, -1)
+    place[list(bodies)] = np.arange(len(bodies))
+    return place[model.body_rootid[model.geom_bodyid]]
+
+
+def _judged_pairs(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    owner: np.ndarray,
+    names: Sequence[str],
+    kinds: Sequence[str],
+    sense: SceneSense,
+    gap: float,
+) -> tuple[tuple[tuple[str, str], ...], ...]:
+    """The pairs of a scene that are usual, that are not, and those of which one is free."""
+    pairs: list[list[tuple[str, str]]] = [[], [], []]
+    for upper, lower in sorted(_carried_pairs(model, data, owner, gap)):
+        is_free = FREE in (kinds[upper], kinds[lower])
+        is_usual = any(sense.is_usual(how, kinds[lower], kinds[upper]) for how in ("on", "in"))
+        pairs[2 if is_free else 0 if is_usual else 1].append((names[upper], names[lower]))
+    return tuple(map(tuple, pairs))
 
 
 def kind_of_name(name: str, sense: SceneSense) -> str:
