@@ -127,9 +127,9 @@ class SceneSpec(PlacementRequest):
     Attributes:
       pool: a pool's name or folder (`cluttergen list`), or several joined by +: dining+mine.
       objects: the pool's objects to use; all of them if empty. Names, patterns and conditions: "mug*",
-        "mug* and volume<0.001", "label=*book* and height>=0.1"; one that any of them means is used. There
-        are name, label, synset, licence, source; volume (m^3 of material), mass (kg), x, y, height, width,
-        depth (m), parts, flagged.
+        "mug* and volume<0.001", "label=*book* and height>=0.1", or a noun of WordNet, "cup.n.01", for all
+        kinds of it; one that any of them means is used. There are name, label, synset, licence, source;
+        volume (m^3 of material), mass (kg), x, y, height, width, depth (m), parts, flagged.
       exclude: the pool's objects to leave out, told in the same ways; exclude=("mug",) is the same as
         pool="dining~mug".
       num_objects: objects per scene, 1 to 128; all of the pool's (40 at most) if not given.
@@ -137,8 +137,9 @@ class SceneSpec(PlacementRequest):
       shelf: of a pool with very many objects each block of 256 scenes draws so many for its own, and each
         of its scenes some of those; 1 to 200. If not given: no such drawing from up to 200 objects, 64 of
         more, or twice as many as a scene has where that is more than 64.
-      weights: by which a shelf is drawn, "mug*=3; label=*book*=0.5": conditions as those of `objects`, and
-        what an object's chance is multiplied by; 0 leaves it out. In Python also a mapping.
+      weights: by which a shelf is drawn, "mug*=3; label=*book*=0.5; cup.n.01=2": conditions as those of
+        `objects`, and what an object's chance is multiplied by; 0 leaves it out. In Python also a mapping,
+        whose keys may be labels.
       theme: only objects of an occasion, by the same table as `natural`: "breakfast", "dinner", "desk",
         "cooking", "tools", "bathroom" or "play".
       balance: "objects", each is as likely to be on a shelf; or "label", "synset", "licence" or "source": of
@@ -265,7 +266,9 @@ class SceneSpec(PlacementRequest):
                 f"balance = {self.balance!r}", ", ".join(BALANCES), "balance='label'", meant
             )
         if isinstance(self.weights, Mapping):
-            pairs = ((str(name), float(weight)) for name, weight in self.weights.items())
+            pairs = (
+                (_condition_of(str(name)), float(weight)) for name, weight in self.weights.items()
+            )
             object.__setattr__(
                 self, "weights", "; ".join(f"{name}={weight!r}" for name, weight in pairs)
             )
@@ -621,6 +624,12 @@ RULES = tuple(each.name for each in dataclasses.fields(PlacementRequest))
 _ALWAYS_ASKED = ("pool", "objects", "repeat", "support", "engine")
 _ALWAYS_RULED = ("num_objects", "containment", "order")
 _LATER = ("shelf", "balance", "surface", "start", "checkpoint")
+
+
+def _condition_of(name: str) -> str:
+    """A key of `weights` as a condition: a label of several words is none as it is."""
+    is_label = " " in name.strip() and " and " not in name and not {*name} & {*"<>=*"}
+    return f"label={name}" if is_label else name
 
 
 def recorded_method(recipe: Mapping[str, Any]) -> str | None:

@@ -15,6 +15,8 @@ from cluttergen_jax.assets.nouns import NOUNS_FILE
 from cluttergen_jax.assets.sense import read_sense
 
 _WIDE = ("container.n.01", "implement.n.01", "article.n.02", "furnishing.n.02", "toiletry.n.01")
+_ALSO = {"mug.n.04": "cup.n.01"}
+"""Hypernyms that people expect and WordNet lacks: a mug is no cup there."""
 _ENCODING = "ascii"
 
 
@@ -47,7 +49,8 @@ def make_nouns(folder: Path) -> str:
     lines = [f"# {line}".rstrip() for line in licence]
     for offset in sorted(kept, key=name.__getitem__):
         words, hypernyms = synsets[offset]
-        above = " ".join(name[each] for each in hypernyms if each in kept)
+        extra = [_ALSO[name[offset]]] if name[offset] in _ALSO else []
+        above = " ".join([name[each] for each in hypernyms if each in kept] + extra)
         also = " ".join(key(word, offset) for word in words[1:])
         lines.append(f"{name[offset]}\t{above}\t{also}")
     return "\n".join(lines) + "\n"

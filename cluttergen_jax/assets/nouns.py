@@ -5,11 +5,14 @@
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+SYNSET = re.compile(r"[a-z0-9_'./-]+\.n\.\d\d")
+"""A noun of WordNet as it is written."""
 NOUNS_FILE = Path(__file__).with_name("nouns.tsv")
 
 
@@ -54,3 +57,14 @@ def read_nouns() -> Nouns:
         word: tuple(synset for _, synset in sorted(found)) for word, found in numbered.items()
     }
     return Nouns(above, senses)
+
+
+def is_below(synset: str, label: str, above: str) -> bool:
+    """Whether a thing is what a synset means: by its own synset, or by the end of its label."""
+    nouns = read_nouns()
+    if SYNSET.fullmatch(synset):
+        return above in nouns.hypernyms(synset)
+    words = re.sub(r"[_\-\d]+", " ", label).lower().split()
+    ends = (" ".join(words[start:]) for start in range(len(words)))
+    senses = next((nouns.senses[end] for end in ends if end in nouns.senses), ())
+    return any(above in nouns.hypernyms(each) for each in senses)

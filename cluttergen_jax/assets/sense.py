@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 from trimesh.bounds import oriented_bounds_2D
 
-from cluttergen_jax.assets.nouns import Nouns, read_nouns
+from cluttergen_jax.assets.nouns import SYNSET, Nouns, read_nouns
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import ConfigError, closest, first_names
 from cluttergen_jax.schema import SchemaError, convert, digest_of, parse_yaml, read_written
@@ -47,7 +47,6 @@ _MOST_NAMED = 8
 _LONGEST_PHRASE = 4
 _TAIL = re.compile(r"\b(?:with|in|on|for|and|from)\b|[(,;:]")
 """What follows in a label says more of the thing, not what it is."""
-_SYNSET = re.compile(r"[a-z0-9_'./-]+\.n\.\d\d")
 
 
 class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -165,7 +164,7 @@ class SceneSense:
         return self.members(getattr(self.kinds[kind], _FIELDS[relation]))
 
     def _kind_of_text(self, text: str) -> str:
-        if _SYNSET.fullmatch(text.lower()):
+        if SYNSET.fullmatch(text.lower()):
             return self._kind_of_noun(text.lower(), read_nouns())[1]
         # CamelCase and figures part words, as in AlarmClock and 030_fork.
         text = re.sub(r"(?<=[a-z]{2})(?=[A-Z])", " ", text).lower()
@@ -195,16 +194,6 @@ class SceneSense:
         above = nouns.hypernyms(synset)
         found = ((place, self._kind_of_synset.get(each)) for place, each in enumerate(above))
         return next(((place, kind) for place, kind in found if kind), (len(above), FREE))
-
-    def is_below(self, each: Named, synset: str) -> bool:
-        """Whether an object is what a synset means, by its own synset or its label."""
-        nouns = read_nouns()
-        own = [each.synset] if _SYNSET.fullmatch(each.synset) else []
-        if not own:
-            words = re.sub(r"[_\-\d]+", " ", each.label or each.name).lower().split()
-            ends = (" ".join(words[start:]) for start in range(len(words)))
-            own = list(next((nouns.senses[end] for end in ends if end in nouns.senses), ()))
-        return any(synset in nouns.hypernyms(one) for one in own)
 
     def in_theme(self, theme: str, facts: Sequence[Named], pool: str) -> tuple[str, ...]:
         """Names of the objects that belong to a theme.
@@ -323,7 +312,7 @@ def _parsed(data: bytes, file: str) -> SceneSense:
             owners = [name for name, kind in kinds.items() if twice[0] in getattr(kind, field_name)]
             given = f"{where}: {twice[0]!r} among the {field_name} of {', '.join(owners)}"
             raise ConfigError(given, "each in one kind, once", _HINT)
-    malformed = [each for kind in kinds.values() for each in kind.synsets if not _SYNSET.fullmatch(each)]
+    malformed = [each for kind in kinds.values() for each in kind.synsets if not SYNSET.fullmatch(each)]
     if malformed:
         given = f"{where}: synset {malformed[0]!r}"
         raise ConfigError(given, "a noun of WordNet 3.0, word.n.number", "plate.n.04")

@@ -20,8 +20,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from cluttergen_jax.assets import ObjectAsset, SupportAsset
+from cluttergen_jax.assets.sense import FREE, Named, read_sense
 from cluttergen_jax.cluster import Cluster, each_on
-from cluttergen_jax.errors import ClutterGenError
+from cluttergen_jax.errors import ClutterGenError, first_names
 from cluttergen_jax.files import writing
 from cluttergen_jax.generation.files import write_files
 from cluttergen_jax.generation.recipe import recipe_of
@@ -52,6 +53,7 @@ from cluttergen_jax.scene.bank.writer import Objects, names_of
 from cluttergen_jax.spec import SceneSpec
 
 _FEW = 0.5
+_MOST_NAMED = 8
 _ROOM = "fewer objects, a larger region or a larger `budget`"
 
 
@@ -113,7 +115,8 @@ def write_bank(
     names: Objects = (
         names_of(problem.world.objects) if shelves is None else shelves.pool.__getitem__
     )
-    notes = tuple(_notes(problem))
+    named = problem.world.objects if shelves is None else shelves.pool.facts
+    notes = tuple(_notes(problem, named))
     with BankWriter(
         out,
         recipe,
@@ -183,13 +186,22 @@ def _advice(method: str, success: float) -> str:
     return f"advice     few scenes succeed with {method} here; try {better}"
 
 
-def _notes(problem: Problem) -> Iterator[str]:
+def _notes(problem: Problem, named: Sequence[Named]) -> Iterator[str]:
+    """What is to be known before the first scene; `named` are all objects that may be drawn."""
     world = problem.world
     number = problem.config.placement.num_objects
     crowded = crowding(world.objects, number, problem.region, area_of(world.support))
     for asset in {id(each): each for each in problem.world.objects}.values():
         if asset.flags:
             yield f"note: {asset.name}: {'; '.join(asset.flags)}"
+    if problem.config.placement.natural:
+        sense = read_sense(problem.config.placement.sense)
+        free = sorted({each.name for each in named if sense.kind_of(each) == FREE})
+        if free:
+            yield (
+                f"note: sense: {len(free)} objects without a known label are free, to be anywhere: "
+                f"{first_names(free, _MOST_NAMED)}"
+            )
     if crowded > 1:
         yield f"note: it is tight: the smallest objects alone cover {crowded:.1f} times the region's area"
 
