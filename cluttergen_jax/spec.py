@@ -179,9 +179,9 @@ class SceneSpec(PlacementRequest):
         objects of those below; contacts, touching pairs; near, mean distance to the nearest object (m);
         occlusion, mean hidden share of an object. As text "stack=3,near=0.02"; in Python also a mapping.
         Method "packed" takes stack alone: at most so many objects on others, where the top has no room.
-      natural: place things as people leave them, by a table of what is usually on, in and beside what, and how
-        it is turned: its sides along those of the region, or its front to the seat (methods "guided",
-        "spread"). What is in no kind of the table may be anywhere, wide and flat things below small ones.
+      natural: place things as people leave them, by a table of what is usually on, in and beside what, and
+        how it is turned: its sides along those of the region, or its front to the seat (methods "guided",
+        "spread"). What is of no kind in the table may be anywhere, wide and flat things below small ones.
       sense: your own table for `natural` and `theme`: a YAML file like the package's
         (`cluttergen_jax/assets/scene_sense.yaml`).
       seat: the side of the region at which someone sits, for `natural`: "-y", "+y", "-x" or "+x".

@@ -1,8 +1,8 @@
 """Makes the nouns that `cluttergen_jax.assets.nouns` knows from the files of WordNet 3.0.
 
 `python -m studies.make_nouns DICT` with the folder of `data.noun` and `index.noun`, as Debian's package
-`wordnet-base` has them. Kept are the synsets at and below those of the table of sense and a few wide ones, each
-with its hypernyms among them: what no kind of thing is above is of no use.
+`wordnet-base` has them. Kept are the synsets at and below those of the table of sense and a few wide ones,
+each with its hypernyms among them, and those of `_ALSO`: what no kind of thing is above is of no use.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ _ENCODING = "ascii"
 def make_nouns(folder: Path) -> str:
     """The text of the file: a comment with WordNet's licence, then a synset a line.
 
-    Each line has the synset, its hypernyms, and the other names of it, all as word.n.number with the number of
-    the sense of that word; the three are separated by tabs, several by spaces.
+    Each line has the synset, its hypernyms, and the other names of it, all as word.n.number with the number
+    of the sense of that word; the three are separated by tabs, several by spaces.
     """
     licence, synsets = _read_synsets(folder / "data.noun")
     numbers = _read_numbers(folder / "index.noun")

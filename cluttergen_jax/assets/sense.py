@@ -1,6 +1,6 @@
 """What may stand where: kinds of things, what they are usually on, in and beside, and how they are left.
 
-The table is data: `scene_sense.yaml` beside this file says what its fields mean, and a user's own replaces it.
+The table is data: `scene_sense.yaml` beside this file says what its fields mean; a user's own replaces it.
 An object's kind follows from its synset, else from its label, else from its name, by the table's words and
 by WordNet's hypernyms (`assets.nouns`). What has no kind is free: nothing is known of where it belongs.
 """
@@ -89,8 +89,8 @@ class SenseArrays:
 
     Attributes:
       kinds: of each; "" for one that is free.
-      weight_on, weight_in, weight_beside: f32[K, K], row: an object, column: what carries, holds or neighbours
-        it: `USUAL`, 1 where one of the two is free, else `UNUSUAL`; of neighbours `USUAL` or 1.
+      weight_on, weight_in, weight_beside: f32[K, K], row: an object, column: what carries, holds or
+        neighbours it: `USUAL`, 1 where one of the two is free, else `UNUSUAL`; of neighbours `USUAL` or 1.
       never_carries: bool[K, K], the same: the column carries nothing, and the row is not usual in it.
       turn: i32[K], places in `TURNS`; those without are decided by shape.
       stands: i32[K], places in `STANDS`.
@@ -207,9 +207,7 @@ class SceneSense:
             raise ConfigError(f"theme = {theme!r}", known, hint, closest(theme, self.themes))
         kinds = [self.kind_of(each) for each in facts]
         found = tuple(
-            each.name
-            for each, kind in zip(facts, kinds, strict=True)
-            if kind in self.themes[theme]
+            each.name for each, kind in zip(facts, kinds, strict=True) if kind in self.themes[theme]
         )
         if not found:
             served = [name for name, its in self.themes.items() if its & {*kinds}]
@@ -230,7 +228,9 @@ class SceneSense:
             usual = [self._usual(relation, kind) for kind in kinds]
             found[relation] = np.array([[lower in its for lower in kinds] for its in usual])
         usual = found["on"] | found["in"]
-        never = np.array([kind in self.kinds and self.kinds[kind].carries == "never" for kind in kinds])
+        never = np.array(
+            [kind in self.kinds and self.kinds[kind].carries == "never" for kind in kinds]
+        )
         each = [self.kinds.get(kind, Kind()) for kind in kinds]
         shapes = [_plan_of(asset) for asset in objects]
         by_shape = ["edge" if shape.is_box_like or shape.is_long else "free" for shape in shapes]
@@ -312,11 +312,16 @@ def _parsed(data: bytes, file: str) -> SceneSense:
             owners = [name for name, kind in kinds.items() if twice[0] in getattr(kind, field_name)]
             given = f"{where}: {twice[0]!r} among the {field_name} of {', '.join(owners)}"
             raise ConfigError(given, "each in one kind, once", _HINT)
-    malformed = [each for kind in kinds.values() for each in kind.synsets if not SYNSET.fullmatch(each)]
+    malformed = [
+        each for kind in kinds.values() for each in kind.synsets if not SYNSET.fullmatch(each)
+    ]
     if malformed:
         given = f"{where}: synset {malformed[0]!r}"
         raise ConfigError(given, "a noun of WordNet 3.0, word.n.number", "plate.n.04")
-    lists = {f"kind {name!r}": (*kind.on_top_of, *kind.inside, *kind.beside) for name, kind in kinds.items()}
+    lists = {
+        f"kind {name!r}": (*kind.on_top_of, *kind.inside, *kind.beside)
+        for name, kind in kinds.items()
+    }
     lists |= {f"theme {name!r}": members for name, members in content.themes.items()}
     for owner, names in lists.items():
         _check_names(where, owner, names, (*kinds, *content.groups))

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from cluttergen_jax.assets import ObjectAsset
+from cluttergen_jax.assets.support import recorded_rectangle
 from cluttergen_jax.files import inside, write_atomically
 from cluttergen_jax.placement.problem import ProblemConfig
 from cluttergen_jax.placement.world import base_name
@@ -16,6 +17,7 @@ from cluttergen_jax.progress import track
 from cluttergen_jax.rendering import PictureConfig, contact_sheet, save_png
 from cluttergen_jax.rendering.config import QUALITIES
 from cluttergen_jax.rendering.gl import renderer_status
+from cluttergen_jax.rendering.seat_mark import seat_mark
 from cluttergen_jax.scene.bank import Bank, BankRow
 from cluttergen_jax.scene.export.mjcf import scene_xml
 from cluttergen_jax.schema import digest_of
@@ -91,6 +93,8 @@ def _draw(bank: Bank, scenes: Sequence[BankRow], assets: dict) -> Path:
     images: list[np.ndarray] = []
     quality = QUALITIES["fine" if len(scenes) <= _MANY else "draft"]
     objects = [[assets[base_name(name)] for name in scene.objects] for scene in scenes]
+    region = recorded_rectangle(bank.recipe["region"])
+    mark = seat_mark(region, bank.support, bank.seat)
     with ViewMaker(PictureConfig(samples=quality.samples, smoothing=quality.smoothing)) as maker:
         for place, scene in enumerate(track(scenes, "drawing", len(scenes), "picture")):
             path = scene_path(bank, scene.index, "png")
@@ -98,7 +102,7 @@ def _draw(bank: Bank, scenes: Sequence[BankRow], assets: dict) -> Path:
                 continue
             coming = objects[place + 1 : place + 1 + _AHEAD]
             maker.place(objects[place], scene.poses, bank.support, coming=coming.copy)
-            image = maker.picture()
+            image = maker.picture(trails=mark)
             save_png(image, path)
             images.append(image)
     captions = [f"{scene.index:06d}" for scene in scenes[:_OVERVIEW]]

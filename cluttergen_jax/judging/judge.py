@@ -305,7 +305,7 @@ def judge_start(
         if config.sense is not None:
             # The contacts are those of bodies up to `GAP` apart, as `_find_supports` left them.
             sense = find_sense(
-                model, data, bodies.ids, bodies.names, bodies.is_shape, config.sense
+                model, data, bodies.ids.tolist(), bodies.names, bodies.is_shape, config.sense
             )
         motion = _Motion(model, data, bodies, config.hold_joints)
         shift, turn = motion.run(config.seconds)
@@ -635,7 +635,7 @@ class JudgeReport:
     def _rows_of(self, each: JudgedStart, horizons: list[str]) -> Iterator[dict[str, Any]]:
         found = each.found
         for place, body in enumerate(found.names):
-            row = {
+            row: dict[str, Any] = {
                 "file": str(each.file),
                 "start": each.start,
                 "detector": each.detector,

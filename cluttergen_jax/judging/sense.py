@@ -30,6 +30,8 @@ NEAR = 0.10
 EDGE_DEGREES = 5.0
 """By which a box-like thing's side may differ from an edge of what carries it."""
 _MOST_SHOWN = 12
+Pairs = tuple[tuple[str, str], ...]
+"""Names: what is carried, and what carries it."""
 
 
 @dataclass(frozen=True)
@@ -44,9 +46,9 @@ class SenseFindings:
       free: names of things without a kind.
     """
 
-    usual: tuple[tuple[str, str], ...] = ()
-    unusual: tuple[tuple[str, str], ...] = ()
-    unknown: tuple[tuple[str, str], ...] = ()
+    usual: Pairs = ()
+    unusual: Pairs = ()
+    unknown: Pairs = ()
     num_boxes: int = 0
     num_along: int = 0
     num_paired: int = 0
@@ -86,7 +88,9 @@ class SenseFindings:
     def row_of(self, name: str) -> dict[str, str | bool | None]:
         """What carries a thing, and whether that is usual; None where it is not known or nothing does."""
         lists = {True: self.usual, False: self.unusual, None: self.unknown}
-        found = [(lower, how) for how, pairs in lists.items() for upper, lower in pairs if upper == name]
+        found = [
+            (lower, how) for how, pairs in lists.items() for upper, lower in pairs if upper == name
+        ]
         known = [how for _, how in found if how is not None]
         return {
             "carried_by": ", ".join(sorted(lower for lower, _ in found)),
@@ -114,7 +118,9 @@ class SenseFindings:
             f"{100 * NEAR:g} cm of a usual neighbour",
         ]
         if self.unusual:
-            lines.append(f"unusual     {_listed(f'{upper} on {lower}' for upper, lower in self.unusual)}")
+            lines.append(
+                f"unusual     {_listed(f'{upper} on {lower}' for upper, lower in self.unusual)}"
+            )
         if self.free:
             more = f"; {len(self.unknown)} carried pairs are not counted" if self.unknown else ""
             lines.append(f"free        without a known label: {_listed(self.free)}{more}")
@@ -206,9 +212,8 @@ def sense_of_bank(bank: Bank, sense: SceneSense, most: int = 1000) -> SenseFindi
         data = _standing(layout, np.arange(len(names)), row.poses[order])
         # Objects collide by their parts, and are drawn by other geoms.
         is_shape = layout.model.geom_contype != 0
-        found.append(
-            find_sense(layout.model, data, layout.body_index, names, is_shape, sense, kinds)
-        )
+        bodies = layout.body_index.tolist()
+        found.append(find_sense(layout.model, data, bodies, names, is_shape, sense, kinds))
     return SenseFindings.total(found)
 
 
@@ -219,19 +224,21 @@ def find_usual_pairs(
     poses: np.ndarray,
     sense: SceneSense,
 ) -> SenseFindings:
-    """Who carries whom in N scenes of S slots of a world, and whether that is usual; nothing else is looked at.
+    """Who carries whom in N scenes of S slots of a world, and whether that is usual; nothing else.
 
     Args:
       object_index: i[N, S]; is_placed: bool[N, S]; poses: f[N, S, 7], world, metres, wxyz.
     """
     layout = world.layout
     kinds = [sense.kind_of(asset) for asset in world.objects]
-    owner = _owners(layout.model, layout.body_index)
+    owner = _owners(layout.model, layout.body_index.tolist())
     found = []
     for index, placed, of_slots in zip(object_index, is_placed, poses, strict=True):
         data = _standing(layout, index[placed], of_slots[placed])
-        pairs = _judged_pairs(layout.model, data, owner, world.names, kinds, sense, GAP)
-        found.append(SenseFindings(*pairs))
+        usual, unusual, unknown = _judged_pairs(
+            layout.model, data, owner, world.names, kinds, sense, GAP
+        )
+        found.append(SenseFindings(usual, unusual, unknown))
     return SenseFindings.total(found)
 
 
@@ -262,14 +269,15 @@ def _judged_pairs(
     kinds: Sequence[str],
     sense: SceneSense,
     gap: float,
-) -> tuple[tuple[tuple[str, str], ...], ...]:
+) -> tuple[Pairs, Pairs, Pairs]:
     """The pairs of a scene that are usual, that are not, and those of which one is free."""
     pairs: list[list[tuple[str, str]]] = [[], [], []]
     for upper, lower in sorted(_carried_pairs(model, data, owner, gap)):
         is_free = FREE in (kinds[upper], kinds[lower])
         is_usual = any(sense.is_usual(how, kinds[lower], kinds[upper]) for how in ("on", "in"))
         pairs[2 if is_free else 0 if is_usual else 1].append((names[upper], names[lower]))
-    return tuple(map(tuple, pairs))
+    usual, unusual, unknown = map(tuple, pairs)
+    return usual, unusual, unknown
 
 
 def kind_of_name(name: str, sense: SceneSense) -> str:

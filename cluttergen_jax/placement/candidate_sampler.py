@@ -165,9 +165,7 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         if (natural := rules.natural) is not None:
             logits = natural.logits(episode, rules.geometry, focus, candidates)
             # Targets are met by what makes sense, or not at all.
-            may_count = natural.is_sensible(
-                episode, rules.geometry, focus, candidates.supporters
-            )
+            may_count = natural.is_sensible(episode, rules.geometry, focus, candidates.supporters)
         if rules.config.clutter is None:
             return logits, asked
         at = Placing.of(

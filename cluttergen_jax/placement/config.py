@@ -189,6 +189,11 @@ class PlacementConfig(PlacementRequest):
         return self.num_objects * self.max_attempts if self.budget is None else self.budget
 
 
+def seat_of(rules: PlacementRequest) -> str:
+    """The side of the region at which someone sits; "" where scenes are not asked to be natural."""
+    return rules.seat if rules.natural else ""
+
+
 def placement_record(config: PlacementConfig) -> Record:
     """The config as records keep it: most settings only where they are not at their defaults."""
     found = asdict(config)

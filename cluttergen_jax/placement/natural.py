@@ -102,11 +102,11 @@ class Natural(struct.PyTreeNode):
     ) -> Array:
         """f32[N]: log weights of candidates for the current object, up to a constant.
 
-        On objects the weight is w min(1, A / a)^2 s: w of the table, the least of all that would carry it; a the
-        footprint of the object's box, A that of the largest object that would carry it, s the share of its base
-        that would touch. On the support it is larger beside what it usually is beside. Both times
-        exp(2.5 z t - 25 h): z its zone, t from -1 at the back of the region to 1 at the front, h the share of the
-        object that would hang beyond the support.
+        On objects the weight is w min(1, A / a)^2 s: w of the table, the least of all that would carry it;
+        a the footprint of the object's box, A that of the largest object that would carry it, s the share of
+        its base that would touch. On the support it is larger beside what it usually is beside. Both times
+        exp(2.5 z t - 25 h): z its zone, t from -1 at the back of the region to 1 at the front, h the share
+        of the object that would hang beyond the support.
         """
         supporters = candidates.supporters
         found = candidates.found
