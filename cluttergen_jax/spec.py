@@ -106,7 +106,7 @@ class SceneOptions(TypedDict, total=False):
     overhang: Overhang
     clutter: str | Mapping[str, float] | None
     natural: bool
-    sense: str | Path
+    sense: str
     seat: Seat
     tidy: bool
     height: Height

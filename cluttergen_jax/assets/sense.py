@@ -96,7 +96,7 @@ class SenseArrays:
       stands: i32[K], places in `STANDS`.
       zone: f32[K], 1 at the front of the table, -1 at the back, 0 anywhere.
       on_table: bool[K], False for what does not belong on a table.
-      heading: f32[K], radians, of its longer side in plan, object frame.
+      heading: f32[K], radians, of its longer side in plan, object frame; 0 where its shape shows none.
     """
 
     kinds: tuple[str, ...]
@@ -233,7 +233,7 @@ class SceneSense:
         )
         each = [self.kinds.get(kind, Kind()) for kind in kinds]
         shapes = [_plan_of(asset) for asset in objects]
-        by_shape = ["edge" if shape.is_box_like or shape.is_long else "free" for shape in shapes]
+        by_shape = ["edge" if shape.shows_turn else "free" for shape in shapes]
         turns = [one.turn or other for one, other in zip(each, by_shape, strict=True)]
         zones = {"": 0.0, "front": 1.0, "back": -1.0}
         beside = found["beside"] | found["beside"].T
@@ -251,7 +251,7 @@ class SceneSense:
             stands=np.array([STANDS.index(one.stands) for one in each], np.int32),
             zone=np.array([zones[one.zone] for one in each], np.float32),
             on_table=np.array([one.table for one in each]),
-            heading=np.array([shape.heading for shape in shapes], np.float32),
+            heading=np.array([shape.shown_heading for shape in shapes], np.float32),
         )
 
 
@@ -366,9 +366,14 @@ class PlanShape:
         return self.fill >= _BOX_SHARE
 
     @property
-    def is_long(self) -> bool:
-        """Whether one side is far longer than the other."""
-        return self.sides[0] > _LONG * self.sides[1]
+    def shows_turn(self) -> bool:
+        """Whether it is box-like, or far longer than it is wide."""
+        return self.is_box_like or self.sides[0] > _LONG * self.sides[1]
+
+    @property
+    def shown_heading(self) -> float:
+        """`heading`, or 0 where the shape shows none."""
+        return self.heading if self.shows_turn else 0.0
 
 
 def plan_shape(points: np.ndarray) -> PlanShape:

@@ -55,6 +55,8 @@ _INSIDE = 192
 _RELATED = 192
 """Candidates where relations hold that are asked for."""
 
+_TRUST_UNUSUAL = 0.6
+"""By which the trust is multiplied in what lies on or in what usually does not carry it."""
 _NATURAL = 96
 """Candidates on and beside what an object usually is on and beside."""
 
@@ -130,6 +132,10 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         key_draw, key_choice = jax.random.split(key)
         candidates = self.candidates(key_draw, episode)
         trust = jnp.where(candidates.is_allowed, self.trust(episode, candidates), -1.0)
+        if (natural := self.search.rules.natural) is not None:
+            rules = self.search.rules
+            at = (episode, rules.geometry, rules.focus(episode), candidates.supporters)
+            trust = jnp.where(natural.is_sensible(*at), trust, _TRUST_UNUSUAL * trust)
         thresholds = jnp.array(self.config.thresholds)
         asked = thresholds[jnp.minimum(episode.attempt, len(thresholds) - 1)]
         noise = jax.random.gumbel(key_choice, trust.shape)

@@ -178,8 +178,9 @@ class Natural(struct.PyTreeNode):
         lengthwise = jnp.where(is_upright, self.heading[scene.focus], lengthwise)
         usual = jnp.where(turn == _TOWARDS, self.seat - lengthwise + end, side - lengthwise)
         usual = jnp.where(turn == _ALONG, self.seat + jnp.pi / 2 - lengthwise + end, usual)
-        # The front is the -y side, as in glTF.
-        usual = jnp.where(has_front, self.seat + jnp.pi / 2, usual)
+        # The front is the -y side, as in glTF; its sides may be askew in its frame.
+        askew = jnp.mod(lengthwise + jnp.pi / 4, jnp.pi / 2) - jnp.pi / 4
+        usual = jnp.where(has_front, self.seat + jnp.pi / 2 - askew, usual)
         spread = jax.random.uniform(key_spread, (number,), minval=-1.0)
         any_turn = jax.random.uniform(key_turn, (number,), maxval=2 * jnp.pi)
         other = jnp.where(has_front, usual + _ROUGHLY * spread, any_turn)
