@@ -306,10 +306,15 @@ def _parsed(data: bytes, file: str) -> SceneSense:
     if both:
         raise ConfigError(f"{where}: {both[0]!r} is a kind and a group", "one of the two", _HINT)
     for field_name in ("synsets", "words"):
-        each = [text.lower() for kind in kinds.values() for text in getattr(kind, field_name)]
-        twice = [text for text, number in Counter(each).items() if number > 1]
+        owner_of = [
+            (text.lower(), name)
+            for name, kind in kinds.items()
+            for text in getattr(kind, field_name)
+        ]
+        counts = Counter(text for text, _ in owner_of)
+        twice = [text for text, number in counts.items() if number > 1]
         if twice:
-            owners = [name for name, kind in kinds.items() if twice[0] in getattr(kind, field_name)]
+            owners = [name for text, name in owner_of if text == twice[0]]
             given = f"{where}: {twice[0]!r} among the {field_name} of {', '.join(owners)}"
             raise ConfigError(given, "each in one kind, once", _HINT)
     malformed = [

@@ -170,8 +170,10 @@ def find_sense(
     ]
     shapes = [plan_shape(each) for each in points]
     edges = _edges(model, data, owner, gap)
+    # What lies on other things is seen against the table that some of them lie on.
+    of_scene = next(iter(edges.values()), 0.0)
     boxes = [one for one, shape in enumerate(shapes) if shape.is_box_like]
-    turns = np.array([shapes[one].heading - edges.get(one, 0.0) for one in boxes])
+    turns = np.array([shapes[one].heading - edges.get(one, of_scene) for one in boxes])
     off = np.abs((turns + np.pi / 4) % (np.pi / 2) - np.pi / 4)
     beside = [
         [one != two and _are_neighbours(kinds[one], kinds[two], sense) for two in range(number)]
