@@ -55,7 +55,7 @@ _INSIDE = 192
 _RELATED = 192
 """Candidates where relations hold that are asked for."""
 
-_TRUST_UNUSUAL = 0.6
+_TRUST_UNUSUAL = 0.3
 """By which the trust is multiplied in what lies on or in what usually does not carry it."""
 _NATURAL = 96
 """Candidates on and beside what an object usually is on and beside."""

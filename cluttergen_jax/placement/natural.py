@@ -41,6 +41,8 @@ _NEAR = 0.06
 """Metres between circles around objects; what is usually beside another is drawn to it where it is nearer."""
 _ZONE_POWER = 2.5
 _HANGING_POWER = 25.0
+_INSIST = 3
+"""Attempts of an object, the first ones, at which it must not come to rest on anything unusual."""
 _TALL = 1.5
 """Times its smaller side in plan: what is taller carries nothing usually."""
 _FARTHEST = 0.05
@@ -147,6 +149,11 @@ class Natural(struct.PyTreeNode):
         """bool[N]: nothing unusual would carry the current object."""
         is_unusual = self._log_carried(episode, geometry, focus) < math.log(UNUSUAL) / 2
         return ~jnp.any(supporters.touched & is_unusual, axis=1)
+
+    def is_refused(self, episode: Episode, geometry: Geometry, focus: Array) -> Array:
+        """bool[K]: on which objects the current one must not come to rest at this attempt."""
+        is_unusual = self._log_carried(episode, geometry, focus) < math.log(UNUSUAL) / 2
+        return self.is_banned[focus] | (is_unusual & (episode.attempt < _INSIST))
 
     def is_allowed(self, focus: Array, supporters: Supporters) -> Array:
         """bool[N]: nothing that carries nothing would carry the current object."""

@@ -550,8 +550,9 @@ class Rules(struct.PyTreeNode, eq=False):
             is_one_more = is_stacked & (num_stacked >= self.config.most_stacked)
             verdict = _instead_of_stable(verdict, is_one_more, Verdict.UNRELATED)
         if self.natural is not None:
-            is_banned = jnp.any(settling.bears & self.natural.is_banned[focus])
-            verdict = _instead_of_stable(verdict, is_banned, Verdict.UNRELATED)
+            is_refused = self.natural.is_refused(episode, self.geometry, focus)
+            is_carried = jnp.any(settling.bears & is_refused)
+            verdict = _instead_of_stable(verdict, is_carried, Verdict.UNRELATED)
         if self.related is None:
             return verdict
         is_related = self._is_related(self.related, episode, focus, settling)
