@@ -239,7 +239,7 @@ def _recipe_section(recipe: Recipe, bits: list[Bits]) -> str:
         "overhang": placement.get("overhang", "any"),
         **{
             f"{name} asked for": placement[name]
-            for name in ("clutter", "natural", "tidy")
+            for name in ("clutter", "natural", "sense", "seat", "tidy")
             if name in placement
         },
         "versions": ", ".join(
