@@ -20,7 +20,7 @@ def test_the_arrow_points_from_its_side_to_the_middle(seat, yaw):
     out = local @ SIDES[seat]
     side = np.abs(SIDES[seat]) @ region.half_extents
     # The ends are at the side, the tip is nearer to the middle, all on the top.
-    assert np.all((0 < out) & (out < side))
+    assert np.all((out > 0) & (out < side))
     assert out[0] == pytest.approx(out[2])
     assert out[1] < out[0]
     assert np.all((points[:, 2] > support.top) & (points[:, 2] < support.top + 0.01))
