@@ -63,6 +63,7 @@ Overhang = Literal["any", "half", "none"]
 Height = Literal["rest", "free"]
 Poses = Literal["upright", "resting", "usual", "any"]
 DoorState = Literal["open", "closed"]
+Seat = Literal["-y", "+y", "-x", "+x"]
 OtherEngine = Literal["drake", "pybullet", "isaac"]
 RelationKind = Literal[
     "on", "in", "next_to", "far_from", "left_of", "right_of", "in_front_of", "behind", "aligned"

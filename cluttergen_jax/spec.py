@@ -25,6 +25,7 @@ from cluttergen_jax.config import (
     OtherEngine,
     Overhang,
     Poses,
+    Seat,
     Setting,
     StabilityConfig,
     check_engine,
@@ -96,6 +97,7 @@ class SceneOptions(TypedDict, total=False):
     repeat: bool
     shelf: int | None
     weights: str | Mapping[str, float]
+    theme: str
     balance: Balance
     support: str | Path
     surface: str
@@ -115,6 +117,8 @@ class SceneOptions(TypedDict, total=False):
     overhang: Overhang
     clutter: str | Mapping[str, float] | None
     natural: bool
+    sense: str
+    seat: Seat
     tidy: bool
     height: Height
     poses: Poses
@@ -138,9 +142,9 @@ class SceneSpec(PlacementRequest):
     Attributes:
       pool: a pool's name or folder (`cluttergen list`), or several joined by +: dining+mine.
       objects: the pool's objects to use; all of them if empty. Names, patterns and conditions: "mug*",
-        "mug* and volume<0.001", "label=*book* and height>=0.1"; one that any of them means is used. There
-        are name, label, synset, licence, source; volume (m^3 of material), mass (kg), x, y, height, width,
-        depth (m), parts, flagged.
+        "mug* and volume<0.001", "label=*book* and height>=0.1", or a noun of WordNet, "cup.n.01", for all
+        kinds of it; one that any of them means is used. There are name, label, synset, licence, source;
+        volume (m^3 of material), mass (kg), x, y, height, width, depth (m), parts, flagged.
       exclude: the pool's objects to leave out, told in the same ways; exclude=("mug",) is the same as
         pool="dining~mug".
       num_objects: objects per scene, 1 to 128; all of the pool's (40 at most) if not given.
@@ -148,8 +152,11 @@ class SceneSpec(PlacementRequest):
       shelf: of a pool with very many objects each block of 256 scenes draws so many for its own, and each
         of its scenes some of those; 1 to 200. If not given: no such drawing from up to 200 objects, 64 of
         more, or twice as many as a scene has where that is more than 64.
-      weights: by which a shelf is drawn, "mug*=3; label=*book*=0.5": conditions as those of `objects`, and
-        what an object's chance is multiplied by; 0 leaves it out. In Python also a mapping.
+      weights: by which a shelf is drawn, "mug*=3; label=*book*=0.5; cup.n.01=2": conditions as those of
+        `objects`, and what an object's chance is multiplied by; 0 leaves it out. In Python also a mapping,
+        whose keys may be labels.
+      theme: only objects of an occasion, by the same table as `natural`: "breakfast", "dinner", "desk",
+        "cooking", "tools", "bathroom" or "play".
       balance: "objects", each is as likely to be on a shelf; or "label", "synset", "licence" or "source": of
         each of their values a shelf has as many, while there are some.
       support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size, "bin-0.50x0.30x0.20" a
@@ -190,7 +197,12 @@ class SceneSpec(PlacementRequest):
         touch from the side, for each object; lean, share of the objects that lean (see `crowd`). As text
         "stack=3,near=0.02"; in Python also a mapping. Method "packed" takes stack, and it alone of the first
         ones: at most so many objects on others, where the top has no room.
-      natural: prefer wide, flat objects below and small ones on top (methods "guided", "spread").
+      natural: place things as people leave them, by a table of what is usually on, in and beside what, and
+        how it is turned: its sides along those of the region, or its front to the seat (methods "guided",
+        "spread"). What is of no kind in the table may be anywhere, wide and flat things below small ones.
+      sense: your own table for `natural` and `theme`: a YAML file like the package's
+        (`cluttergen_jax/assets/scene_sense.yaml`).
+      seat: the side of the region at which someone sits, for `natural`: "-y", "+y", "-x" or "+x".
       tidy: keep room instead of spreading objects out: more objects fit, but scenes are less diverse (methods
         "guided", "spread").
       height: from which `random` releases an object: "rest", 1 mm above its resting height on the bare top;
@@ -241,6 +253,7 @@ class SceneSpec(PlacementRequest):
     repeat: bool = False
     shelf: int | None = None
     weights: str | Mapping[str, float] = ""
+    theme: str = ""
     balance: Balance = "objects"
     support: str | Path = "table"
     surface: str = ""
@@ -286,7 +299,9 @@ class SceneSpec(PlacementRequest):
                 f"balance = {self.balance!r}", ", ".join(BALANCES), "balance='label'", meant
             )
         if isinstance(self.weights, Mapping):
-            pairs = ((str(name), float(weight)) for name, weight in self.weights.items())
+            pairs = (
+                (_condition_of(str(name)), float(weight)) for name, weight in self.weights.items()
+            )
             object.__setattr__(
                 self, "weights", "; ".join(f"{name}={weight!r}" for name, weight in pairs)
             )
@@ -307,7 +322,7 @@ class SceneSpec(PlacementRequest):
         # Equal requests are equal, and can be hashed, whatever kind of sequence or path was given.
         for name in ("objects", "exclude", "keep_out", "relations", "arrangements"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
-        for name in ("pool", "support"):
+        for name in ("pool", "support", "sense"):
             object.__setattr__(self, name, str(getattr(self, name)))
         if self.clutter is not None:
             object.__setattr__(self, "clutter", Clutter.of(self.clutter))
@@ -499,7 +514,7 @@ class SceneSpec(PlacementRequest):
         from cluttergen_jax.assets.facts import is_plain_name
         from cluttergen_jax.assets.pool import find_pool
 
-        if self.objects and all(map(is_plain_name, self.objects)):
+        if self.objects and all(map(is_plain_name, self.objects)) and not self.theme:
             return None
         return find_pool(self.pool_text)
 
@@ -533,6 +548,12 @@ class SceneSpec(PlacementRequest):
         chosen = tuple(self.objects)
         if not all(map(is_plain_name, chosen)):
             chosen = chosen_names((found or find_pool(pool)).facts, chosen, pool)
+        if self.theme:
+            from cluttergen_jax.assets.sense import read_sense
+
+            facts = (found or find_pool(pool)).facts
+            kept = [each for each in facts if not chosen or each.name in chosen]
+            chosen = read_sense(str(self.sense)).in_theme(self.theme, kept, pool)
         available = len(chosen) or len(found or find_pool(pool))
         weights = self._weights()
         is_drawn = (
@@ -681,6 +702,12 @@ RULES = tuple(each.name for each in dataclasses.fields(PlacementRequest))
 _ALWAYS_ASKED = ("pool", "objects", "repeat", "support", "engine")
 _ALWAYS_RULED = ("num_objects", "containment", "order")
 _LATER = ("shelf", "balance", "surface", "start", "checkpoint")
+
+
+def _condition_of(name: str) -> str:
+    """A key of `weights` as a condition: a label of several words is none as it is."""
+    is_label = " " in name.strip() and " and " not in name and not {*name} & {*"<>=*"}
+    return f"label={name}" if is_label else name
 
 
 def recorded_method(recipe: Mapping[str, Any]) -> str | None:

@@ -53,7 +53,8 @@ _SENTENCES = {
     Verdict.CREPT: "the finished scene moved in the last check",
     Verdict.UNSUPPORTED: "came to rest with its centre of mass too near the edge of what carries it",
     Verdict.FRAGILE: "would not stand under a slight tilt, less friction and softer contacts",
-    Verdict.UNRELATED: "came to rest where a relation asked for does not hold, or, packed, on another object",
+    Verdict.UNRELATED: "came to rest where a relation asked for does not hold, or, packed or natural, on "
+    "an object that shall carry none",
     Verdict.BLOCKED: "a door or a drawer hit an object when it was closed, or did not close",
 }
 

@@ -12,6 +12,7 @@ from weakref import WeakKeyDictionary
 import msgspec
 import numpy as np
 
+from cluttergen_jax.assets.nouns import SYNSET, is_below
 from cluttergen_jax.errors import ConfigError, closest, first_names
 
 if TYPE_CHECKING:
@@ -121,8 +122,9 @@ Test = Callable[[ObjectFacts], bool]
 def parse_condition(text: str) -> Test:
     """What tells whether an object is meant by a text such as "mug* and volume<0.001".
 
-    Terms are joined by "and". A term is a pattern of a name, in which * stands for any letters; a pattern of
-    a text, such as label=*book*; or a comparison of a number, in metres, cubic metres or kilograms.
+    Terms are joined by "and". A term is a pattern of a name, in which * stands for any letters; a noun of
+    WordNet such as cup.n.01, which means all kinds of it by synset or label; a pattern of a text, such as
+    label=*book*; or a comparison of a number, in metres, cubic metres or kilograms.
 
     Raises:
       ConfigError: a term is none; the message names what can be compared.
@@ -136,6 +138,8 @@ def _parse_term(term: str) -> Test:
     if match is None:
         if not term or re.search(r"[<>=\s]", term):
             raise _no_term(term)
+        if SYNSET.fullmatch(term):
+            return lambda each: is_below(each.synset, each.label or each.name, term)
         return lambda each: fnmatchcase(each.name, term)
     field, sign, value = match.groups()
     if field in _TEXTS:

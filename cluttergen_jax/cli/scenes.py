@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from functools import partial
 from pathlib import PurePosixPath
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from tyro.conf import Positional, arg
@@ -19,6 +19,10 @@ from cluttergen_jax.cli.flags import with_flags
 from cluttergen_jax.cli.options import Options, command
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.judging.api import certify, judge, verify
+
+if TYPE_CHECKING:
+    from cluttergen_jax.judging.sense import SenseFindings
+    from cluttergen_jax.scene.bank import Bank
 
 
 @command(
@@ -69,13 +73,13 @@ def run_certify(options: Options) -> None:
     )
 
 
-@command(judge, paths=Positional[tuple[str, ...]], states=str | None)
+@command(judge, paths=Positional[tuple[str, ...]], states=str | None, sense=bool)
 def run_judge(options: Options) -> int:
     """Judge anybody's scenes by one strict rule: MJCF, URDF, SDF or USD files, or arrays of starts.
 
     Exit status 1 if a file could not be judged; the others are.
 
-    Example: `cluttergen judge kitchen.xml --states starts.npz --hold-joints --out judged`
+    Example: `cluttergen judge kitchen.xml --states starts.npz --hold-joints --sense --out judged`
     """
     report = options.call(judge)
     print(report)
@@ -112,8 +116,18 @@ def run_export(options: Options) -> None:
     print(f"{len(scenes)} scenes in {folder}: open with {kind.opens_in}")
 
 
+def _sense_of(bank: Bank) -> SenseFindings:
+    """What the bank's own table of sense, else the package's, says of its scenes."""
+    from cluttergen_jax.assets.sense import read_sense
+    from cluttergen_jax.judging.sense import sense_of_bank
+
+    return sense_of_bank(bank, read_sense(bank.recipe.get("placement", {}).get("sense", "")))
+
+
 @command()
-def run_stats(path: Positional[str], card: bool = False, json: bool = False) -> None:
+def run_stats(
+    path: Positional[str], card: bool = False, sense: bool = False, json: bool = False
+) -> None:
     """Show what a bank holds: successes, failures by reason, objects, attempts, duplicates, gaps.
 
     Example: `cluttergen stats out --card`
@@ -121,6 +135,7 @@ def run_stats(path: Positional[str], card: bool = False, json: bool = False) -> 
     Args:
       path: a bank.
       card: write the dataset card, README.md, into the bank's folder again (`generate` writes it too).
+      sense: tell, too, how much sense the first thousand scenes make, as `cluttergen judge --sense` does.
       json: print JSON.
     """
     from cluttergen_jax.kept_folder import hold_folder
@@ -128,7 +143,13 @@ def run_stats(path: Positional[str], card: bool = False, json: bool = False) -> 
 
     bank = read_bank(path)
     stats = stats_of(bank)
-    print(json_text.dumps(stats.as_json(), indent=1) if json else stats_text(bank, stats))
+    record = stats.as_json()
+    text = stats_text(bank, stats)
+    if sense:
+        found = _sense_of(bank)
+        record["sense"] = found.record()
+        text = "\n".join([text, *found.lines()])
+    print(json_text.dumps(record, indent=1) if json else text)
     if card:
         with hold_folder(bank.path):
             written = write_card(read_bank(bank.path))

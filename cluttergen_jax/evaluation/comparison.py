@@ -24,6 +24,7 @@ _FIGURES = (
     "high95",
     "filled",
     "placed",
+    "usual_pairs",
     "attempts_per_valid_scene",
     "simulated_steps_per_valid_scene",
     "valid_scenes_per_cpu_second",
@@ -104,6 +105,7 @@ def _table(rows: list[Row]) -> Table:
         SUCCESS,
         Column("filled", lambda row: share(row["figures"]["filled"])),
         figure_column("placed", "placed", 2),
+        figure_column("usual pairs", "usual_pairs", 3),
         Column("attempts per valid scene", _effort),
         SPEED,
     )

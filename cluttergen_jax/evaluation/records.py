@@ -64,6 +64,9 @@ class Figures(TypedDict, total=False):
     valid_scenes_per_second: float
     valid_scenes_per_cpu_second: float | None
     fill: float
+    # Of the pairs in which one thing carries another, by the table of sense; None where there are none.
+    usual_pairs: float | None
+    num_pairs: int
     paper: Figures
 
 

@@ -18,6 +18,7 @@ import jax
 import numpy as np
 from flax import struct
 
+from cluttergen_jax.assets.sense import read_sense
 from cluttergen_jax.assets.support_map import check_region
 from cluttergen_jax.cluster import Cluster, each_on
 from cluttergen_jax.config import StabilityConfig
@@ -33,6 +34,7 @@ from cluttergen_jax.evaluation.resolved import (
 )
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial
+from cluttergen_jax.judging.sense import SenseFindings, find_usual_pairs
 from cluttergen_jax.learning.methods import Method, block_sampler_of, with_history_of
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.physics import engine_of, make_physics
@@ -155,6 +157,9 @@ class Runner:
         strict = self.run(resolved)
         figures = figures_of(strict)
         figures["fill"] = self._fill(resolved)
+        if (sense := self._usual_pairs(resolved, strict.scenes)) is not None:
+            figures["usual_pairs"] = sense.usual_pairs
+            figures["num_pairs"] = len(sense.usual) + len(sense.unusual)
         if resolved.trial.paper_count:
             loose = self.run(resolved, judge_neighbours=False)
             figures["paper"] = figures_of(loose, has_last_check=False)
@@ -335,6 +340,15 @@ class Runner:
         area = area_asked(problem.config, problem.world.support) or width * depth
         return float(np.mean(areas) * resolved.trial.num_objects / area)
 
+    def _usual_pairs(self, resolved: ResolvedTrial, scenes: SceneBatch) -> SenseFindings | None:
+        """Who carries whom in the trial's scenes that stand; None where each block has objects of its own."""
+        if self._config(resolved).shelf:
+            return None
+        place = np.flatnonzero(scenes.is_success)[:_MOST_SENSED]
+        arrays = (scenes.object_index[place], scenes.is_placed[place], scenes.poses[place])
+        sense = read_sense(resolved.config.placement.sense)
+        return find_usual_pairs(self.world(resolved), *arrays, sense)
+
     def _physics(self, world: World, config: ProblemConfig) -> Physics:
         """The engine of a world. Worlds of equal sizes share what is compiled around a native one.
 
@@ -455,6 +469,8 @@ class RowMaker:
         return make
 
 
+_MOST_SENSED = 256
+"""Scenes of a trial, at most, in which it is looked what carries what."""
 _WIDTHS = (16, 64, BLOCK_SIZE)
 """Few, so that programs are shared; wide enough for what is asked."""
 

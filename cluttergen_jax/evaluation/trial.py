@@ -27,10 +27,12 @@ ROBUST = "robust"
 FREE_HEIGHT = "free height"
 
 _PAPERS = SceneSpec(method="random", num_objects=10, setting="paper")
-_PLACE = ("objects", "shelf", "weights", "balance", "surface", "keep_out", "start")
+_PLACE = ("objects", "shelf", "weights", "theme", "balance", "surface", "keep_out", "start")
 """Fields of a request that say what is placed where."""
 _RULES = (
     "natural",
+    "sense",
+    "seat",
     "relations",
     "roles",
     "arrangements",

@@ -19,6 +19,7 @@ from cluttergen_jax.progress import track
 from cluttergen_jax.rendering import PictureConfig, contact_sheet, save_png
 from cluttergen_jax.rendering.config import QUALITIES, CameraView
 from cluttergen_jax.rendering.gl import renderer_status
+from cluttergen_jax.rendering.seat_mark import seat_mark
 from cluttergen_jax.scene.bank import Bank, BankRow
 from cluttergen_jax.scene.export.mjcf import scene_xml
 from cluttergen_jax.schema import digest_of
@@ -109,6 +110,7 @@ def _draw(bank: Bank, scenes: Sequence[BankRow], assets: dict) -> Path:
     picture = PictureConfig(
         samples=quality.samples, smoothing=quality.smoothing, view=view_of(bank)
     )
+    mark = seat_mark(recorded_rectangle(bank.recipe["region"]), bank.support, bank.seat)
     with ViewMaker(picture) as maker:
         for place, scene in enumerate(track(scenes, "drawing", len(scenes), "picture")):
             path = scene_path(bank, scene.index, "png")
@@ -116,7 +118,7 @@ def _draw(bank: Bank, scenes: Sequence[BankRow], assets: dict) -> Path:
                 continue
             coming = objects[place + 1 : place + 1 + _AHEAD]
             maker.place(objects[place], scene.poses, bank.support, coming=coming.copy)
-            image = maker.picture()
+            image = maker.picture(trails=mark)
             save_png(image, path)
             images.append(image)
     captions = [f"{scene.index:06d}" for scene in scenes[:_OVERVIEW]]

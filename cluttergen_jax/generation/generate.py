@@ -20,8 +20,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from cluttergen_jax.assets import ObjectAsset, SupportAsset
+from cluttergen_jax.assets.sense import FREE, Named, read_sense
 from cluttergen_jax.cluster import Cluster, each_on
-from cluttergen_jax.errors import ClutterGenError
+from cluttergen_jax.errors import ClutterGenError, first_names
 from cluttergen_jax.files import writing
 from cluttergen_jax.generation.files import write_files
 from cluttergen_jax.generation.recipe import recipe_of
@@ -57,6 +58,7 @@ from cluttergen_jax.spec import SceneSpec
 _FEW = 0.5
 _OFTEN = 0.1
 """Share of the scenes that fail at a relation from which it is said what helps."""
+_MOST_NAMED = 8
 _ROOM = "fewer objects, a larger region or a larger `budget`"
 
 
@@ -126,7 +128,8 @@ def write_bank(
     names: Objects = (
         names_of(problem.world.objects) if shelves is None else shelves.pool.__getitem__
     )
-    notes = tuple(_notes(problem))
+    named = problem.world.objects if shelves is None else shelves.pool.facts
+    notes = tuple(_notes(problem, named))
     with BankWriter(
         out,
         recipe,
@@ -212,7 +215,8 @@ def _advice(method: str, totals: Totals, failed: Sequence[RelationFailures]) -> 
     return f"advice     few scenes succeed with {method} here; try {better}"
 
 
-def _notes(problem: Problem) -> Iterator[str]:
+def _notes(problem: Problem, named: Sequence[Named]) -> Iterator[str]:
+    """What is to be known before the first scene; `named` are all objects that may be drawn."""
     world = problem.world
     placement = problem.config.placement
     crowded = crowding(world.objects, placement.num_objects, problem.region, area_of(world.support))
@@ -228,6 +232,14 @@ def _notes(problem: Problem) -> Iterator[str]:
             yield (
                 f"note: it is tight: the outlines of some draws cover {most:.2f} of the region, where not "
                 "all objects find room side by side"
+            )
+    if problem.config.placement.natural:
+        sense = read_sense(problem.config.placement.sense)
+        free = sorted({each.name for each in named if sense.kind_of(each) == FREE})
+        if free:
+            yield (
+                f"note: sense: {len(free)} objects without a known label are free, to be anywhere: "
+                f"{first_names(free, _MOST_NAMED)}"
             )
     if crowded > 1:
         yield f"note: it is tight: the smallest objects alone cover {crowded:.1f} times the region's area"

@@ -111,8 +111,8 @@ class Layout(msgspec.Struct, forbid_unknown_fields=True):
         list[str],
         _about(
             "What is made of equal things besides, each 'KIND CONDITION:NUMBER': row (upright, side by side, "
-            "as books), stack (one upon the other), nest (one inside of the other). The condition is of objects "
-            "of the pool, as in `objects`.",
+            "as books), stack (one upon the other), nest (one inside of the other). The condition is of "
+            "objects of the pool, as in `objects`.",
             examples=[["row label=*book*:4", "stack dinner_plate:3", "nest bowl:2"]],
         ),
     ] = []
@@ -170,7 +170,11 @@ class Layout(msgspec.Struct, forbid_unknown_fields=True):
         ),
     ] = 0.0
     natural: Annotated[
-        bool, _about("Prefer wide, flat objects below and small ones on top where objects stack.")
+        bool,
+        _about(
+            "Place things as people leave them: what is usually on, in and beside what, turned to the edges "
+            "of the table or to the person who sits at its front."
+        ),
     ] = False
     asked: Annotated[
         Asked | None,

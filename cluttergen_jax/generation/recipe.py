@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
+from cluttergen_jax.assets.sense import read_sense
 from cluttergen_jax.assets.support import Rectangle, recorded_rectangle, recorded_ring
 from cluttergen_jax.config import ContactConfig, StabilityConfig, stability_record
 from cluttergen_jax.learning.methods import Method
@@ -54,6 +55,7 @@ def recipe_of(
         "region": dataclasses.asdict(problem.region),
         "method": str(method.name),
         **({"method_digest": method.name.digest} if isinstance(method.name, OwnMethod) else {}),
+        **_sense_of(problem.config.placement),
         "checkpoint_hash": method.checkpoint and method.checkpoint.hash,
         "block_size": BLOCK_SIZE,
         "names": problem.world.names if names is None else names,
@@ -63,6 +65,11 @@ def recipe_of(
         "checkpoint": None if checkpoint is None else str(checkpoint),
         "seed": seed,
     }
+
+
+def _sense_of(config: PlacementConfig) -> Record:
+    """Which table natural scenes were made by."""
+    return {"sense_digest": read_sense(config.sense).digest} if config.natural else {}
 
 
 def problem_of_recipe(recipe: Recipe, path: Path) -> ProblemConfig:

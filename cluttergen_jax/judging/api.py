@@ -126,6 +126,7 @@ def judge(
     hold_joints: bool = False,
     detectors: Sequence[Detector] = DETECTORS,
     max_starts: int = 50,
+    sense: bool | str | Path = False,
     jobs: int = 0,
 ) -> JudgeReport:
     """Judges anybody's scenes by one strict rule (`cluttergen judge`).
@@ -152,6 +153,10 @@ def judge(
         controls, and an arm whose motors are given no torque falls.
       detectors: of MuJoCo's detectors of convex collisions: "native", "libccd", or both.
       max_starts: of a file that has more starts, so many are judged, evenly spread.
+      sense: score, too, how much sense the starts make by a table of what is usually on, in and beside what
+        (`SceneSpec.sense`): the share of carried pairs that are usual, of box-like bodies along the edges of
+        what carries them, and of bodies near a usual neighbour; kinds follow from the names of bodies. In
+        Python also the file of a table of your own.
       jobs: simulations at a time; 0 takes every core.
 
     Returns:
@@ -161,6 +166,7 @@ def judge(
       ConfigError: a setting is outside its range, a path does not exist, or no file is a scene.
       BankError: another process writes to `out`.
     """
+    from cluttergen_jax.assets.sense import read_sense
     from cluttergen_jax.judging.judge import JudgeConfig, judge_scenes
     from cluttergen_jax.judging.scene_files import find_scenes
 
@@ -173,7 +179,10 @@ def judge(
             f"detectors = {tuple(detectors)}", " ".join(DETECTORS), "detectors=('native',)"
         )
     paths = [paths] if isinstance(paths, str | Path) else list(paths)
-    config = JudgeConfig(tuple(seconds), max_shift, max_turn_deg, max_penetration, hold_joints)
+    table = read_sense("" if sense is True else sense) if sense else None
+    config = JudgeConfig(
+        tuple(seconds), max_shift, max_turn_deg, max_penetration, hold_joints, table
+    )
     if states is not None and len(find_scenes(paths)[0]) > 1:
         raise ConfigError(
             "`states` of several files", "of one file", "arrays of their names beside them"

@@ -23,6 +23,7 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from cluttergen_jax.assets.mjcf import VISUAL_GROUP
+from cluttergen_jax.assets.sense import SceneSense
 from cluttergen_jax.config import DETECTORS, Detector, StabilityConfig, VerifyConfig, check_positive
 from cluttergen_jax.errors import AssetError, ClutterGenError, ConfigError
 from cluttergen_jax.files import file_whole
@@ -30,6 +31,7 @@ from cluttergen_jax.geometry import rotate
 from cluttergen_jax.importing.readers.mjcf import Geom
 from cluttergen_jax.importing.readers.model import convex_parts
 from cluttergen_jax.judging.scene_files import find_scenes, read_model, read_starts
+from cluttergen_jax.judging.sense import GAP, SenseFindings, find_sense, kind_of_name
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.margin import MIN_LIFT
 from cluttergen_jax.physics.standing import has_moved, horizons_of, keep_awake, watch
@@ -40,8 +42,6 @@ from cluttergen_jax.rendering.picture import contact_sheet, render_model, save_p
 from cluttergen_jax.rendering.renderer import HIDDEN_GROUP
 from cluttergen_jax.tables import aligned_table
 
-GAP = 0.001
-"""Metres between two bodies up to which they count as touching, when it is asked what floats."""
 AT_ONCE = 0.05
 """Seconds within which what has nothing below and sinks by more than `GAP` floats: free fall is 12 mm."""
 FALL = 0.05
@@ -70,6 +70,7 @@ class JudgeConfig:
     max_turn_deg: float = VerifyConfig.max_turn_deg
     max_penetration: float = 0.001
     hold_joints: bool = False
+    sense: SceneSense | None = None
 
     def __post_init__(self) -> None:
         check_positive(self, "max_shift", "max_turn_deg", "max_penetration")
@@ -123,6 +124,7 @@ class Judgement:
       is_deep, floats, falls: bool[B], see `FAULTS`.
       begin, end: f64[nq], the positions before and after.
       note: what went wrong in the simulation, "" if nothing did.
+      sense: what a table of sense says of the start, where that was asked.
     """
 
     names: tuple[str, ...]
@@ -137,6 +139,7 @@ class Judgement:
     begin: np.ndarray
     end: np.ndarray
     note: str
+    sense: SenseFindings | None = None
 
 
 class Fault(NamedTuple):
@@ -294,10 +297,16 @@ def judge_start(
     floats = np.zeros(number, bool)
     falls = np.zeros(number, bool)
     shift, turn = np.full((2, len(config.seconds), number), np.inf)
+    sense = None
     try:
         mujoco.mj_forward(model, data)
         depth, against, is_complete = _overlaps(model, data, bodies)
         is_connected, is_pressed_up = _find_supports(model, data, bodies)
+        if config.sense is not None:
+            # The contacts are those of bodies up to `GAP` apart, as `_find_supports` left them.
+            sense = find_sense(
+                model, data, bodies.ids.tolist(), bodies.names, bodies.is_shape, config.sense
+            )
         motion = _Motion(model, data, bodies, config.hold_joints)
         shift, turn = motion.run(config.seconds)
         floats = ~is_connected | (~is_pressed_up & (motion.sunk > GAP))
@@ -320,6 +329,7 @@ def judge_start(
         begin=start.qpos.copy(),
         end=data.qpos.copy(),
         note=note,
+        sense=sense,
     )
 
 
@@ -614,6 +624,8 @@ class JudgeReport:
             **dict.fromkeys((each.column for each in FAULTS), pa.bool_()),
             **dict.fromkeys(("note", "error", "mujoco"), pa.string()),
         }
+        if self.config.sense is not None:
+            columns |= {"kind": pa.string(), "carried_by": pa.string(), "is_usual": pa.bool_()}
         rows = [row for each in self.starts for row in self._rows_of(each, horizons)]
         rows += [{"file": str(path), "error": reason} for path, reason in self.unread.items()]
         return pa.Table.from_pylist(
@@ -623,7 +635,7 @@ class JudgeReport:
     def _rows_of(self, each: JudgedStart, horizons: list[str]) -> Iterator[dict[str, Any]]:
         found = each.found
         for place, body in enumerate(found.names):
-            row = {
+            row: dict[str, Any] = {
                 "file": str(each.file),
                 "start": each.start,
                 "detector": each.detector,
@@ -637,7 +649,18 @@ class JudgeReport:
                 row |= {
                     f"{name}_{label}": value for label, value in zip(horizons, values, strict=True)
                 }
+            if found.sense is not None and self.config.sense is not None:
+                row["kind"] = kind_of_name(body, self.config.sense)
+                row |= found.sense.row_of(body)
             yield row
+
+    @cached_property
+    def sense(self) -> SenseFindings | None:
+        """What the table of sense says of all starts, each counted once; None where it was not asked."""
+        if self.config.sense is None:
+            return None
+        once = {(each.file, each.start): each.found.sense for each in self.starts}
+        return SenseFindings.total(filter(None, once.values()))
 
     def shares(self, detector: Detector, of_bodies: bool = False) -> dict[str, float]:
         """Number of starts (or bodies); shares that are still up to each horizon, overlap, float, fall."""
@@ -684,6 +707,8 @@ class JudgeReport:
             f"MuJoCo {self.mujoco}, from rest, everything awake, each file's own options; "
             + "; ".join(meanings)
         )
+        if self.sense is not None:
+            lines += self.sense.lines()
         cannot = [f"{path} cannot be judged: {reason}" for path, reason in self.unread.items()]
         return "\n".join(
             [*lines, *self.notes, *_shorten([*map(str, self._worst_first())]), *_shorten(cannot)]

@@ -67,13 +67,14 @@ _NEARER = 3.0
 """Power of their distance from the usual one, as a share of what is allowed."""
 _NEARER_MIDDLE = 0.5
 """Of the reach of what is tried on or in a thing."""
+_TRUST_UNUSUAL = 0.3
+"""By which the trust is multiplied in what lies on or in what usually does not carry it."""
+_NATURAL = 96
+"""Candidates on and beside what an object usually is on and beside."""
 
 _TIDY_FINALISTS = 96
 _CLOSER = 1e-6
 
-_AREA_POWER = 2.0
-_BASE_POWER = 1.0
-_LEAST_BASE = 0.02
 _HIGHEST_COST = 10.0
 
 _SPREAD = 0.09
@@ -145,6 +146,10 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         key_draw, key_choice = jax.random.split(key)
         candidates = self.candidates(key_draw, episode)
         trust = jnp.where(candidates.is_allowed, self.trust(episode, candidates), -1.0)
+        if (natural := self.search.rules.natural) is not None:
+            rules = self.search.rules
+            at = (episode, rules.geometry, rules.focus(episode), candidates.supporters)
+            trust = jnp.where(natural.is_sensible(*at), trust, _TRUST_UNUSUAL * trust)
         thresholds = jnp.array(self.config.thresholds)
         asked = thresholds[jnp.minimum(episode.attempt, len(thresholds) - 1)]
         noise = jax.random.gumbel(key_choice, trust.shape)
@@ -187,8 +192,11 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         focus = rules.focus(episode)
         found = candidates.found
         logits = jnp.zeros(trust.shape)
-        if rules.config.natural:
-            logits = natural_logits(rules.geometry, focus, candidates.supporters)
+        may_count = None
+        if (natural := rules.natural) is not None:
+            logits = natural.logits(episode, rules.geometry, focus, candidates)
+            # Targets are met by what makes sense, or not at all.
+            may_count = natural.is_sensible(episode, rules.geometry, focus, candidates.supporters)
         if candidates.preference is not None:
             logits += candidates.preference
         if rules.config.drawn_clutter is None:
@@ -204,6 +212,8 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         )
         remaining, added = remaining_and_added(rules.config.drawn_clutter, at)
         least = self.config.least_trust
+        if may_count is not None:
+            trust = jnp.where(may_count, trust, -1.0)
         missed = shortfall(remaining, added, trust >= asked)
         is_nearer = shortfall(remaining, added, trust >= least) < missed - _CLOSER
         asked = jnp.where(jnp.any(is_nearer), jnp.minimum(asked, least), asked)
@@ -233,14 +243,25 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         config = self.config
         keys = jax.random.split(key, 3)
         scene = search.scene(episode, with_owner=True)
+        natural = search.rules.natural
         drawn = [draw_candidates(keys[0], episode.region, config.num_uniform)]
+        if natural is not None:
+            drawn[0] = natural.turned(jax.random.fold_in(key, 7), scene, drawn[0])
         if number := _TIDY_FINALISTS if search.rules.config.tidy else config.num_finalists:
             many = draw_candidates(keys[1], episode.region, search.config.num_candidates)
+            if natural is not None:
+                many = natural.turned(jax.random.fold_in(key, 8), scene, many)
             drawn.append(search.best(scene, many, number))
         if number := self._num_above:
-            drawn.append(above_objects(keys[2], scene, search.rules, number))
+            above = above_objects(keys[2], scene, search.rules, number)
+            if natural is not None:
+                above = natural.turned(jax.random.fold_in(key, 9), scene, above)
+            drawn.append(above)
         if number := self._num_inside:
             drawn.append(inside_objects(jax.random.fold_in(key, 4), scene, search.rules, number))
+        if natural is not None:
+            of_sense = jax.random.fold_in(key, 10)
+            drawn.append(natural.candidates(of_sense, scene, search.rules.geometry, _NATURAL))
         if (related := search.rules.related) is not None:
             of_relations = jax.random.fold_in(key, 3)
             geometry = search.rules.geometry
@@ -263,6 +284,8 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         supporters = find_supporters(scene, geometry, candidates, rest)
         is_allowed = found.cost < FORBIDDEN / 2
         weights = None
+        if (natural := search.rules.natural) is not None:
+            is_allowed &= natural.is_allowed(scene.focus, supporters)
         if (related := search.rules.related) is not None:
             half = geometry.half_extents
             proposed = proposed_boxes(
@@ -336,19 +359,6 @@ def _over(
     limit = episode.region.half_extents
     yaw = jax.random.uniform(key_yaw, (number,), maxval=2 * jnp.pi)
     return Candidates(jnp.clip(xy, -limit, limit), yaw)
-
-
-def natural_logits(geometry: Geometry, focus: Array, supporters: Supporters) -> Array:
-    """f32[N]: log weights of candidates, 0 on the support alone and at most 0 elsewhere.
-
-    The weight of what lies on objects is min(1, A / a)^2 s, with a the footprint of the current object's box,
-    A that of the largest object that would carry it, and s the share of its base that would touch.
-    """
-    area = footprint_area(geometry.half_extents)
-    widest = jnp.max(jnp.where(supporters.touched, area, 0.0), axis=1)
-    width = jnp.minimum(jnp.log(jnp.maximum(widest, 1e-8) / area[focus]), 0.0)
-    base = jnp.log(jnp.clip(supporters.base, _LEAST_BASE, 1.0))
-    return jnp.where(supporters.is_on, _AREA_POWER * width + _BASE_POWER * base, 0.0)
 
 
 def related_candidates(

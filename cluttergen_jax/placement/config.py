@@ -7,7 +7,16 @@ from dataclasses import asdict, dataclass, fields
 from numbers import Integral, Real
 from typing import TYPE_CHECKING, get_args
 
-from cluttergen_jax.config import Containment, DoorState, Height, Order, Overhang, Poses, Reward
+from cluttergen_jax.config import (
+    Containment,
+    DoorState,
+    Height,
+    Order,
+    Overhang,
+    Poses,
+    Reward,
+    Seat,
+)
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.placement.arrangements import parse_arrangements, roles_and_relations
 from cluttergen_jax.placement.clutter import CROWDED, Clutter
@@ -58,6 +67,7 @@ _WORDS = {
     "height": get_args(Height),
     "poses": get_args(Poses),
     "doors": get_args(DoorState),
+    "seat": get_args(Seat),
 }
 """What settings of words allow."""
 
@@ -79,6 +89,8 @@ class PlacementRequest:
     overhang: Overhang = "any"
     clutter: str | Mapping[str, float] | Clutter | None = None
     natural: bool = False
+    sense: str = ""
+    seat: Seat = "-y"
     tidy: bool = False
     height: Height = "rest"
     poses: Poses = "upright"
@@ -247,6 +259,11 @@ class PlacementConfig(PlacementRequest):
     def max_scene_attempts(self) -> int:
         """Attempts of a scene in all, at most."""
         return self.num_objects * self.max_attempts if self.budget is None else self.budget
+
+
+def seat_of(rules: PlacementRequest) -> str:
+    """The side of the region at which someone sits; "" where scenes are not asked to be natural."""
+    return rules.seat if rules.natural else ""
 
 
 def placement_record(config: PlacementConfig) -> Record:

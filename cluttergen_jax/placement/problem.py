@@ -34,6 +34,7 @@ from cluttergen_jax.placement.containers import BELOW_RIM, INNER, MOST_WIDE, dra
 from cluttergen_jax.placement.doors import poses_on
 from cluttergen_jax.placement.heightmap import HeightMap, make_support_map
 from cluttergen_jax.placement.methods.baselines import costs_of_staying
+from cluttergen_jax.placement.natural import Natural
 from cluttergen_jax.placement.orientations import MAX_RESTING, make_orientations
 from cluttergen_jax.placement.region import ChangedRegion, KeepOut, Region, find_change, make_region
 from cluttergen_jax.placement.related import IN, RelatedObjects, relate_objects
@@ -308,6 +309,9 @@ def compose(
         related=related,
         num_doors=0 if doors is None else len(doors.names),
     )
+    if config.placement.natural:
+        asked_sense = (config.placement.sense, config.placement.seat)
+        rules = rules.replace(natural=Natural.of(world.objects, *asked_sense))
     if support.named and len(support.asked) > 1:
         rules = _on_surfaces(rules, region, support, world)
     if config.change != "none":

@@ -80,6 +80,7 @@ class Replay:
       drift: metres, the largest movement in the last check; 0 if there was none.
       attempts: in the order in which they were made; empty if nobody knows.
       timestep: seconds between two rows of an attempt's trajectory.
+      seat: at which side of the region someone sits (`SceneSpec.seat`); "" where nobody does.
     """
 
     title: str
@@ -95,6 +96,7 @@ class Replay:
     attempts: tuple[Attempt, ...] = ()
     keep_out: tuple[Rectangle, ...] = ()
     timestep: float = StabilityConfig().timestep
+    seat: str = ""
 
     @property
     def placed(self) -> np.ndarray:

@@ -19,6 +19,7 @@ from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.numerics import compiler_options, new_key, with_own_settings
 from cluttergen_jax.physics.host import HostPhysics
 from cluttergen_jax.placement import crowd
+from cluttergen_jax.placement.config import seat_of
 from cluttergen_jax.placement.region import KeepOut, Region
 from cluttergen_jax.placement.replay import Attempt, Replay
 from cluttergen_jax.placement.rules import Proposer, Rules
@@ -486,6 +487,7 @@ class EpisodeRecorder:
             drift=float(after.drift),
             keep_out=_keep_out_boxes(after),
             timestep=self.sampler.rules.physics.config.timestep,
+            seat=seat_of(self.sampler.rules.config),
         )
 
     def _proposals(self, before: Any, seed: int, number: int) -> np.ndarray | None:

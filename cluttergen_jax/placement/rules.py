@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -51,6 +51,9 @@ from cluttergen_jax.placement.types import (
     choose,
 )
 from cluttergen_jax.types import Array, Closing, Piling, Settling, Standing, Verdict
+
+if TYPE_CHECKING:
+    from cluttergen_jax.placement.natural import Natural
 
 OWN_SHARE = 1 / 3
 """Of what a narrow object has on a flat table: so much support margin is asked of it at most. Of a round face
@@ -239,6 +242,7 @@ class Rules(struct.PyTreeNode, eq=False):
       map_radius: metres, that of the largest object that height maps are made for; its own if None.
       related: the relations that scenes must fulfil; None for none.
       surfaces: of which one is drawn for each attempt, with its region; None where there is one.
+      natural: what is known of how people leave the objects, where scenes are to be natural; else None.
       polygon: f32[E, 2], what of the region counts, world x and y, or the surface's frame where it is not
         level; None for all of it.
       num_doors: D, doors that are closed when all slots are filled.
@@ -258,6 +262,7 @@ class Rules(struct.PyTreeNode, eq=False):
     surfaces: SurfaceSet | None = None
     polygon: Array | None = None
     num_doors: int = struct.field(pytree_node=False, default=0)
+    natural: Natural | None = None
 
     @property
     def simulator(self) -> Physics:
@@ -335,6 +340,8 @@ class Rules(struct.PyTreeNode, eq=False):
         ranks = jnp.arange(self.geometry.num_objects, dtype=jnp.float32)
         if self.config.order != "fixed":
             ranks = jax.random.uniform(key, ranks.shape)
+        if self.natural is not None:
+            ranks = jnp.where(self.natural.on_table, ranks, ranks + len(ranks))
         ranks = jnp.where(is_taken, jnp.inf, ranks)
         if roles is not None:
             ranks = ranks.at[roles].set(-1.0)
@@ -385,7 +392,8 @@ class Rules(struct.PyTreeNode, eq=False):
     @property
     def _num_counted(self) -> int:
         # What is not asked for is not counted, and stored states have the shapes they had.
-        if self.related is not None or self.config.most_stacked is not None:
+        is_sensed = self.natural is not None
+        if self.related is not None or self.config.most_stacked is not None or is_sensed:
             return int(Verdict.UNRELATED) + 1
         if self.physics.config.robust_tilt:
             return int(Verdict.FRAGILE) + 1
@@ -587,6 +595,10 @@ class Rules(struct.PyTreeNode, eq=False):
             num_stacked = jnp.sum(episode.is_placed & (episode.support_graph.level > 0))
             is_one_more = is_stacked & (num_stacked >= self.config.most_stacked)
             verdict = _instead_of_stable(verdict, is_one_more, Verdict.UNRELATED)
+        if self.natural is not None:
+            is_refused = self.natural.is_refused(episode, self.geometry, focus)
+            is_carried = jnp.any(settling.bears & is_refused)
+            verdict = _instead_of_stable(verdict, is_carried, Verdict.UNRELATED)
         if self.related is None:
             return verdict
         is_related = self._is_related(self.related, episode, focus, settling)

@@ -15,6 +15,7 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.config import Variation
 from cluttergen_jax.rendering.assets import close_points
+from cluttergen_jax.rendering.renderer import Trail
 from cluttergen_jax.rendering.scene_renderer import (
     PictureConfig,
     RenderStyle,
@@ -156,11 +157,15 @@ class ViewMaker:
             self.renderer.colours = colours
         return texture
 
-    def picture(self, camera: Camera | None = None) -> np.ndarray:
-        """u8[H, W, 3]: the colours alone; None sees the scene from the picture's view."""
+    def picture(self, camera: Camera | None = None, trails: Sequence[Trail] = ()) -> np.ndarray:
+        """u8[H, W, 3]: the colours alone; None sees the scene from the picture's view.
+
+        Args:
+          trails: lines to draw as well.
+        """
         if camera is not None:
             self.renderer.camera = camera
-        return self.renderer.picture(self._styles(), light_yaw=self._light_yaw)
+        return self.renderer.picture(self._styles(), trails, light_yaw=self._light_yaw)
 
     def see(self, camera: Camera | None = None, has_instances: bool = False) -> View:
         """What a camera sees, of the picture's size at most; None sees it from the picture's view.

@@ -28,6 +28,7 @@ from cluttergen_jax.rendering.config import QUALITIES, FilmConfig, Quality
 from cluttergen_jax.rendering.figure import NUM_PROPOSALS, closed_loop_figure, density_figure
 from cluttergen_jax.rendering.film import check_format, replay, replay_frames, save_film, turntable
 from cluttergen_jax.rendering.gl import RendererError, find_backend
+from cluttergen_jax.rendering.seat_mark import seat_mark
 from cluttergen_jax.rendering.viewer.source import SceneSource
 from cluttergen_jax.scene.bank.scene import missing_text
 from cluttergen_jax.sensing.camera import REALSENSE_SIZE, Camera, CameraPlan
@@ -389,7 +390,8 @@ def _draw(
 ) -> np.ndarray:
     poses = recording.poses[recording.placed]
     maker.place(_placed_objects(recording), poses, recording.support, coming=coming)
-    return maker.picture(camera)
+    mark = seat_mark(recording.region, recording.support, recording.seat)
+    return maker.picture(camera, mark)
 
 
 def _seen_scene(recording: Replay, number: int) -> SeenScene:

@@ -80,6 +80,7 @@ class BankSource:
             is_success=row.is_success,
             verdict=row.verdict,
             drift=row.drift,
+            seat=self.bank.seat,
         )
 
     def replay(self, number: int, num_proposals: int = 0) -> Replay:

@@ -17,6 +17,7 @@ from cluttergen_jax.assets.support import PART_RGBA, Rectangle, SupportAsset
 from cluttergen_jax.geometry import transform_points, yaw_quaternion
 from cluttergen_jax.placement.replay import Attempt, Replay
 from cluttergen_jax.rendering.figure import heat_points
+from cluttergen_jax.rendering.seat_mark import seat_points
 
 if TYPE_CHECKING:
     import viser
@@ -218,6 +219,12 @@ class SceneNodes:
             regions = enumerate(surface for surface, _ in support.asked)
             named = [(f"region-{k}", each.region, each.pose, _BLUE) for k, each in regions]
         named += [(f"keep-out-{k}", box, pose, RED) for k, box in enumerate(recording.keep_out)]
+        if recording.seat:
+            line = seat_points(recording.region, support, recording.seat)
+            segments = np.stack([line[:-1], line[1:]], axis=1).astype(np.float32)
+            self._region.append(
+                self.server.scene.add_line_segments("/seat", segments, _BLUE, thickness=0.006)
+            )
         for name, rectangle, T_world_rectangle, colour in named:
             sides = transform_points(T_world_rectangle, outline(rectangle, _LIFT).reshape(-1, 3))
             self._region.append(

@@ -91,6 +91,12 @@ class Bank:
                 f"{self.path}: how it was made is not recorded whole ({error})"
             ) from error
 
+    @property
+    def seat(self) -> str:
+        """At which side of the region someone sits; "" where its scenes were not asked to be natural."""
+        rules = self.recipe.get("placement") or {}
+        return str(rules.get("seat", "-y")) if rules.get("natural") else ""
+
     @cached_property
     def stability(self) -> StabilityConfig:
         """By which its scenes were checked (BankError: its recipe is damaged)."""

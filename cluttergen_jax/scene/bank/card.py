@@ -253,7 +253,15 @@ def _recipe_section(recipe: Recipe, bits: list[Bits]) -> str:
         "overhang": placement.get("overhang", "any"),
         **{
             f"{name} asked for": placement[name]
-            for name in ("clutter", "natural", "tidy", "relations", "relations_prefer")
+            for name in (
+                "clutter",
+                "natural",
+                "sense",
+                "seat",
+                "tidy",
+                "relations",
+                "relations_prefer",
+            )
             if name in placement
         },
         "versions": ", ".join(
