@@ -25,6 +25,7 @@ _FIGURES = (
     "filled",
     "placed",
     "usual_pairs",
+    "side_contacts",
     "attempts_per_valid_scene",
     "simulated_steps_per_valid_scene",
     "valid_scenes_per_cpu_second",
@@ -106,6 +107,7 @@ def _table(rows: list[Row]) -> Table:
         Column("filled", lambda row: share(row["figures"]["filled"])),
         figure_column("placed", "placed", 2),
         figure_column("usual pairs", "usual_pairs", 3),
+        figure_column("side contacts", "side_contacts", 2),
         Column("attempts per valid scene", _effort),
         SPEED,
     )

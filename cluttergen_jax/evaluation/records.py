@@ -67,6 +67,8 @@ class Figures(TypedDict, total=False):
     # Of the pairs in which one thing carries another, by the table of sense; None where there are none.
     usual_pairs: float | None
     num_pairs: int
+    # Pairs of objects that touch from the side, for each object.
+    side_contacts: float | None
     paper: Figures
 
 

@@ -34,11 +34,12 @@ from cluttergen_jax.evaluation.resolved import (
 )
 from cluttergen_jax.evaluation.store import Store
 from cluttergen_jax.evaluation.trial import Trial
-from cluttergen_jax.judging.sense import SenseFindings, find_usual_pairs
+from cluttergen_jax.judging.sense import find_usual_pairs
 from cluttergen_jax.learning.methods import Method, block_sampler_of, with_history_of
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.physics import engine_of, make_physics
 from cluttergen_jax.physics.host import NumberedEngines, Physics
+from cluttergen_jax.physics.margin import count_beside
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.placement.boxes import footprint_area
 from cluttergen_jax.placement.problem import Problem, ProblemConfig, Setup, make_setup
@@ -157,9 +158,9 @@ class Runner:
         strict = self.run(resolved)
         figures = figures_of(strict)
         figures["fill"] = self._fill(resolved)
-        if (sense := self._usual_pairs(resolved, strict.scenes)) is not None:
-            figures["usual_pairs"] = sense.usual_pairs
-            figures["num_pairs"] = len(sense.usual) + len(sense.unusual)
+        # Where each block has objects of its own they are not looked at.
+        if not self._config(resolved).shelf:
+            figures |= self._scene_figures(resolved, strict.scenes)
         if resolved.trial.paper_count:
             loose = self.run(resolved, judge_neighbours=False)
             figures["paper"] = figures_of(loose, has_last_check=False)
@@ -340,14 +341,18 @@ class Runner:
         area = area_asked(problem.config, problem.world.support) or width * depth
         return float(np.mean(areas) * resolved.trial.num_objects / area)
 
-    def _usual_pairs(self, resolved: ResolvedTrial, scenes: SceneBatch) -> SenseFindings | None:
-        """Who carries whom in the trial's scenes that stand; None where each block has objects of its own."""
-        if self._config(resolved).shelf:
-            return None
+    def _scene_figures(self, resolved: ResolvedTrial, scenes: SceneBatch) -> Figures:
+        """Who carries whom, and what touches from the side, in the trial's scenes that stand."""
         place = np.flatnonzero(scenes.is_success)[:_MOST_SENSED]
         arrays = (scenes.object_index[place], scenes.is_placed[place], scenes.poses[place])
-        sense = read_sense(resolved.config.placement.sense)
-        return find_usual_pairs(self.world(resolved), *arrays, sense)
+        world = self.world(resolved)
+        found = find_usual_pairs(world, *arrays, read_sense(resolved.config.placement.sense))
+        beside = count_beside(world.layout, *arrays).sum() / max(scenes.is_placed[place].sum(), 1)
+        return {
+            "usual_pairs": found.usual_pairs,
+            "num_pairs": len(found.usual) + len(found.unusual),
+            "side_contacts": float(beside) if len(place) else None,
+        }
 
     def _physics(self, world: World, config: ProblemConfig) -> Physics:
         """The engine of a world. Worlds of equal sizes share what is compiled around a native one.

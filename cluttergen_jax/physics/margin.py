@@ -268,3 +268,23 @@ class OverlapProbe:
     def beside(self) -> np.ndarray:
         """The pairs of objects that touch from the side in that scene, over gaps within reach: bool[K, K]."""
         return beside_of(self._layout, self._data, self._reach)
+
+
+def count_beside(
+    layout: Layout, object_index: np.ndarray, is_placed: np.ndarray, poses: np.ndarray
+) -> np.ndarray:
+    """i64[N]: the pairs of objects that touch from the side in N scenes of S slots.
+
+    Args:
+      object_index: i[N, S]; is_placed: bool[N, S]; poses: f[N, S, 7], world, metres, wxyz.
+    """
+    probe = OverlapProbe(layout, reach=TOUCH_REACH)
+    counts = []
+    for index, placed, of_slots in zip(object_index, is_placed, poses, strict=True):
+        is_there = np.zeros(layout.num_objects, bool)
+        is_there[index[placed]] = True
+        everything = layout.parked
+        everything[index[placed]] = of_slots[placed]
+        has_room = probe.depths(everything, is_there) is not None
+        counts.append(int(np.triu(probe.beside()).sum()) if has_room else 0)
+    return np.array(counts, int)

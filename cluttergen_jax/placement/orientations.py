@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from cluttergen_jax.assets.height_profile import HeightProfile
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.settle import upright_turn
-from cluttergen_jax.assets.usual_poses import usual_weights
+from cluttergen_jax.assets.usual_poses import Way, usual_weights
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import product, rotation_matrix, yaw_quaternion
@@ -46,6 +46,7 @@ def make_orientations(
     tilted: np.ndarray | None = None,
     is_in_row: Sequence[bool] | None = None,
     free: float = np.inf,
+    lies: Sequence[bool] | None = None,
 ) -> Orientations:
     """The orientations in which objects may be released, upright first; NumPy arrays.
 
@@ -60,6 +61,7 @@ def make_orientations(
       is_in_row: of each object, whether it may stand in a row; None where there are no rows. How it does is
         one more orientation, which is not drawn.
       free: metres, below which what stands in a row is.
+      lies: of each object, whether people lay such things down, for "usual"; None where nothing is known.
 
     Raises:
       ConfigError: one of those does not stand so by itself.
@@ -79,7 +81,8 @@ def make_orientations(
     engine.free()
     number = 1 if is_alone else MAX_RESTING
     if kind == "usual":
-        lying = [_left_usually(*each) for each in zip(objects, lying, strict=True)]
+        known = [False] * len(objects) if lies is None else lies
+        lying = [_left_usually(*each) for each in zip(objects, lying, known, strict=True)]
     if kind == "any" or tilted is not None:
         number += NUM_SPREAD
     spread = [_quaternion_of(upright_turn(up)) for up in _spread()]
@@ -173,10 +176,11 @@ def _resting_poses(asset: ObjectAsset) -> list[_Pose]:
     return [_Pose(np.array(pose.quaternion), max(pose.likelihood, _LEAST_WEIGHT)) for pose in kept]
 
 
-def _left_usually(asset: ObjectAsset, poses: list[_Pose]) -> list[_Pose]:
+def _left_usually(asset: ObjectAsset, poses: list[_Pose], lies: bool) -> list[_Pose]:
     """The poses with the weights of `usual_weights`."""
+    way: Way | None = "lying" if lies else None
     quaternions = np.array([pose.quaternion for pose in poses])
-    weights = usual_weights(asset, quaternions, np.array([pose.weight for pose in poses]))
+    weights = usual_weights(asset, quaternions, np.array([pose.weight for pose in poses]), way)
     return [replace(pose, weight=weight) for pose, weight in zip(poses, weights, strict=True)]
 
 

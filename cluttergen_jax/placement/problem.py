@@ -20,6 +20,7 @@ from cluttergen_jax.assets.height_profile import HeightProfile
 from cluttergen_jax.assets.hollow import hollow_of
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import Pool, find_pool
+from cluttergen_jax.assets.sense import STANDS, sense_of
 from cluttergen_jax.assets.support import Rectangle, Ring, SupportAsset, cuboid_table
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.assets.support_map import VOID, check_keep_out, check_region, rim_height
@@ -416,8 +417,12 @@ def _orientations_of(
         table = cuboid_table()
         layout = compile_layout(world.names, world.objects, table, config.stability, config.contact)
     free = min((surface.free_height for surface, _ in world.support.asked), default=math.inf)
+    lies = None
+    if kind == "usual":
+        stands = sense_of(world.objects, config.placement.sense).stands
+        lies = (stands == STANDS.index("lying")).tolist()
     return make_orientations(
-        world.objects, layout, config.stability, kind, cut, tilted, is_in_row, free - ROOM
+        world.objects, layout, config.stability, kind, cut, tilted, is_in_row, free - ROOM, lies
     )
 
 
