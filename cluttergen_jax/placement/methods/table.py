@@ -204,7 +204,7 @@ def _read(text: str) -> tuple[str, Any]:
     return text, found
 
 
-TARGETS = ("clutter", "natural", "tidy", "relations", "roles")
+TARGETS = ("clutter", "natural", "tidy", "relations", "roles", "relations_prefer")
 """Fields of a `SceneSpec` that say what scenes should be like."""
 
 
