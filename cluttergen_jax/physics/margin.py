@@ -29,10 +29,12 @@ TOUCH_REACH = 0.0005
 HOLD_FRICTION = 0.35
 """Of what a body stands on, while its side is held: 0.7 times the usual 0.5, as `robust` asks for."""
 
-_FAN = 2 * np.pi * np.arange(36) / 36
+_FAN = 2 * np.pi * np.arange(180) / 180
 _DIRECTIONS = np.stack([np.cos(_FAN), np.sin(_FAN)], axis=1)
 """In which a body with contacts at its sides might tip, besides across the sides of its polygon."""
 
+_SAME_REACH = 1e-4
+"""Metres by which points that are the farthest in a direction may differ."""
 MIN_SHIFT = 1e-5
 """Metres that an attempt must have moved a neighbour for its support to be looked at again."""
 
@@ -88,13 +90,16 @@ def held_margin(points: np.ndarray, sides: np.ndarray, normals: np.ndarray) -> f
     inwards /= np.linalg.norm(inwards, axis=1, keepdims=True)
     direction = np.concatenate([_DIRECTIONS, across, inwards])
     reach = direction @ points[:, :2].T
-    pivot = points[reach.argmax(1)]
-    lever = sides - pivot[:, None]
-    along = np.einsum("dk,dck->dc", direction, lever[..., :2])
+    farthest = reach.max(1)
+    lever = sides[None] - points[:, None]
+    along = np.einsum("dk,mck->dmc", direction, lever[..., :2])
     slope = np.linalg.norm(normals[:, :2], axis=1)
-    against = along * normals[:, 2] - lever[..., 2] * (direction @ normals[:, :2].T)
-    held = np.maximum(HOLD_FRICTION * against / slope, 0.0).max(1)
-    return max(float((reach.max(1) + held).min()), least)
+    pressing = (direction @ normals[:, :2].T)[:, None]
+    against = along * normals[:, 2] - lever[..., 2] * pressing
+    held = np.maximum(HOLD_FRICTION * against / slope, 0.0).max(2)
+    # Over an edge it tips about both of its points: the one at which less holds it counts.
+    held = np.where(reach >= farthest[:, None] - _SAME_REACH, held, np.inf).min(1)
+    return max(float((farthest + held).min()), least)
 
 
 def convex_hull(points: np.ndarray) -> list[Point]:

@@ -204,7 +204,11 @@ def _read(text: str) -> tuple[str, Any]:
     return text, found
 
 
+<<<<<<< HEAD
 TARGETS = ("clutter", "natural", "tidy", "relations", "roles", "arrangements")
+=======
+TARGETS = ("clutter", "natural", "tidy", "relations", "roles", "relations_prefer")
+>>>>>>> h-relate
 """Fields of a `SceneSpec` that say what scenes should be like."""
 
 
