@@ -444,14 +444,10 @@ class SceneSpec(PlacementRequest):
                     "stack, the most objects that may rest on others; or with guided or spread"
                 )
                 raise ConfigError(given, allowed, f"method={TRUSTED[0]!r}")
-<<<<<<< HEAD
         self._check_crowd(entry)
-        wanted = [name for name in TARGETS if self._asks(name) and name not in entry.takes]
-=======
         # A preference asks for nothing by itself.
         targets_asked = [name for name in TARGETS if name != "relations_prefer"]
-        wanted = [name for name in targets_asked if getattr(self, name) and name not in entry.takes]
->>>>>>> h-relate
+        wanted = [name for name in targets_asked if self._asks(name) and name not in entry.takes]
         if wanted:
             given = f"`{wanted[0]}` with method {str(method)!r}"
             raise ConfigError(given, f"with {' or '.join(TRUSTED)}", f"method={TRUSTED[0]!r}")

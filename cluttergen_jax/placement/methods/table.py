@@ -204,11 +204,15 @@ def _read(text: str) -> tuple[str, Any]:
     return text, found
 
 
-<<<<<<< HEAD
-TARGETS = ("clutter", "natural", "tidy", "relations", "roles", "arrangements")
-=======
-TARGETS = ("clutter", "natural", "tidy", "relations", "roles", "relations_prefer")
->>>>>>> h-relate
+TARGETS = (
+    "clutter",
+    "natural",
+    "tidy",
+    "relations",
+    "roles",
+    "relations_prefer",
+    "arrangements",
+)
 """Fields of a `SceneSpec` that say what scenes should be like."""
 
 
