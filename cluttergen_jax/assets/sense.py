@@ -18,7 +18,6 @@ from typing import Literal, Protocol, get_args
 import msgspec
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
-from trimesh.bounds import oriented_bounds_2D
 
 from cluttergen_jax.assets.nouns import SYNSET, Nouns, read_nouns
 from cluttergen_jax.assets.object import ObjectAsset
@@ -383,6 +382,8 @@ class PlanShape:
 
 def plan_shape(points: np.ndarray) -> PlanShape:
     """The shape in plan of points f64[N, 2 or 3], metres, z up."""
+    from trimesh.bounds import oriented_bounds_2D
+
     xy = np.asarray(points, float)[:, :2]
     try:
         area = ConvexHull(xy).volume

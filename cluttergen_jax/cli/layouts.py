@@ -53,6 +53,7 @@ def find_errors(options: Options) -> int:
     region=str | None,
     keep_out=tuple[str, ...],
     clutter=str | None,
+    needed=("request", "model"),
     left_out=("layout", *ask_layout.spec_refused),  # type: ignore[attr-defined]
 )
 def ask(options: Options) -> None:

@@ -83,7 +83,7 @@ class Command:
     """A command, whose options are the arguments of functions, with their defaults.
 
     What only one of several functions takes, and cannot do without, may be left out on the command line,
-    unless `kinds` has a type for it of which None is none.
+    unless it is needed.
 
     Attributes:
       run: what it does with its options; the exit status, None for 0. Its docstring is the command's help.
@@ -94,6 +94,7 @@ class Command:
       resumes: whether the same command takes up what was interrupted.
       needs_mujoco: whether it is refused where MuJoCo cannot be imported.
       left_out: arguments of the functions that are no options.
+      needed: those that are no option to leave out, though not all functions take them.
     """
 
     run: Callable[..., int | None]
@@ -102,6 +103,7 @@ class Command:
     resumes: bool
     needs_mujoco: bool
     left_out: Sequence[str] = ()
+    needed: Sequence[str] = ()
 
     @functools.cached_property
     def options(self) -> type[Options]:
@@ -116,7 +118,7 @@ class Command:
                     kind = self.kinds.get(name) or _as_given(_annotation(parameter, function))
                     is_needed = all(
                         name in inspect.signature(each).parameters for each in functions
-                    ) or (name in self.kinds and not _may_be_none(kind))
+                    ) or (name in self.needed)
                     fields[name] = (name, kind, _default(parameter.default, kind, is_needed))
         for name in self.kinds.keys() - fields.keys():
             fields[name] = (name, self.kinds[name], dataclasses.field(default=False))
@@ -164,10 +166,11 @@ def command(
     resumes: bool = True,
     needs_mujoco: bool = True,
     left_out: Sequence[str] = (),
+    needed: Sequence[str] = (),
     **kinds: Any,
 ) -> Callable[[Callable[..., int | None]], Command]:
     """A decorator that makes a `Command` of what it does."""
-    return lambda run: Command(run, functions, kinds, resumes, needs_mujoco, left_out)
+    return lambda run: Command(run, functions, kinds, resumes, needs_mujoco, left_out, needed)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -237,12 +240,6 @@ def _as_given(kind: Any) -> Any:
     return (
         types.GenericAlias(tuple, (*get_args(kind), ...)) if get_origin(kind) is Sequence else kind
     )
-
-
-def _may_be_none(kind: Any) -> bool:
-    """Whether an option of a type may be left out."""
-    kind = get_args(kind)[0] if get_origin(kind) is Annotated else kind
-    return types.NoneType in get_args(kind)
 
 
 def _metavar(kind: Any) -> str | None:

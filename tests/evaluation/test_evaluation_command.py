@@ -36,8 +36,8 @@ def test_command_takes_up_what_was_made_before(tmp_path, capsys):
     )
     shown, said = capsys.readouterr()
     assert (
-        "| policy | - | - | - | - | - |\n\n- no checkpoint for method 'policy' on pool 'dining'; try: "
-        in shown
+        "| policy | - | - | - | - | - | - | - |\n\n"
+        "- no checkpoint for method 'policy' on pool 'dining'; try: " in shown
     )
     assert "error: 1 row could not be made; why stands below the table" in said
     assert json.loads((tmp_path / "results.json").read_text())[0] == first

@@ -119,7 +119,9 @@ def test_two_browsers_look_at_different_scenes_and_leave_alone(viewer):
 def test_regions_are_outlined_on_the_surfaces_that_objects_are_asked_for_on(support, surface):
     asked = find_support(support).on_surface(surface)
     server = MagicMock()
-    SceneNodes(server)._add_region(SimpleNamespace(support=asked, region=asked.region, keep_out=()))
+    SceneNodes(server)._add_region(
+        SimpleNamespace(support=asked, region=asked.region, keep_out=(), seat=None)
+    )
     drawn = [call.args[1] for call in server.scene.add_line_segments.call_args_list]
     assert len(drawn) == len(asked.asked)
     for (each, _), sides in zip(asked.asked, drawn, strict=True):
