@@ -226,8 +226,8 @@ class SceneSpec(PlacementRequest):
       clearance: metres between the outlines of objects, and to the region's sides, that "packed" leaves;
         0.003 if not given.
       crowd: how far the objects of a finished scene are drawn together: 0, they stay where they were placed;
-        0.5, neighbours touch from the side, the same as clutter="side=0.9"; 1, a heap in which many lean, as
-        clutter="side=0.9,lean=0.4". Native engine only.
+        0.5, neighbours touch from the side, the same as clutter="side=1"; 1, a heap in which many lean, as
+        clutter="side=1,lean=0.4". Native engine only.
       doors: "closed": doors and drawers of the support stand open while objects are placed, and are closed
         then; a scene succeeds if they close, to within 1 degree or 2 mm, and all objects stand undisturbed.
         "open": they stay as they stand. If not given: those that `import --support` opened to look behind
@@ -414,7 +414,8 @@ class SceneSpec(PlacementRequest):
         patience = RUIN_AFTER_PACKED if entry_of(method).limits_stack else RUIN_AFTER
         ruin_after = min(patience, self.max_attempts) if is_ordered else 0
         # In a heap things lean on walls and on each other.
-        usual = MIN_MARGIN if is_default and not entry_of(method).is_whole else 0.0
+        is_heap = entry_of(method).is_whole or self._asks_to_lean()
+        usual = MIN_MARGIN if is_default and not is_heap else 0.0
         min_margin = usual if self.for_engine is None else MARGIN_FOR[self.for_engine]
         usual_rules = {"order": order, "ruin_after": ruin_after, "min_margin": min_margin}
         given = {name: getattr(self, name) for name in usual_rules}
@@ -479,6 +480,11 @@ class SceneSpec(PlacementRequest):
         if name == "clutter" and self.clutter is not None:
             return Clutter.of(self.clutter).drawn is not None
         return bool(getattr(self, name))
+
+    def _asks_to_lean(self) -> bool:
+        """Whether some objects are to lean on others."""
+        clutter = None if self.clutter is None else Clutter.of(self.clutter)
+        return self.crowd > 0.5 or bool(clutter and clutter.lean)
 
     def _check_crowd(self, entry: MethodEntry) -> None:
         """Refuses crowds where objects cannot be drawn together (ConfigError)."""
@@ -604,8 +610,7 @@ class SceneSpec(PlacementRequest):
                 # All begin again where one finds no room.
                 decided["budget"] = _MORE_PACKED * num_objects * self.max_attempts
         placement = self._placement(num_objects, decided)
-        _, lean = placement.crowd_targets or (0.0, 0.0)
-        is_heap = entry.is_whole or lean > 0
+        is_heap = entry.is_whole or self._asks_to_lean()
         is_native = is_heap or placement.crowd_targets is not None
         engine: Engine = "native" if is_native else self.engine
         has_two_detectors = engine_of(engine, stability) == "native"

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from itertools import product
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
-from cluttergen_jax.geometry import rotate
+from cluttergen_jax.geometry import rotate, rotate_in_plane
 from cluttergen_jax.physics.resting import RestRounds, Stage, reach_of
 from cluttergen_jax.types import Verdict
 
@@ -28,6 +30,7 @@ class Pull(NamedTuple):
       strength: m/s^2 towards the middle of a group.
       height: of each object's half height, how far above its centre of mass.
       drag, turning_drag: 1/s, by which speeds and angular speeds decay.
+      time_share: of a step's usual time.
       most_steps: until enough of them touch, or lean.
     """
 
@@ -35,23 +38,32 @@ class Pull(NamedTuple):
     height: float
     drag: float
     turning_drag: float
+    time_share: float
     most_steps: int
 
 
-TOGETHER = Pull(strength=2.0, height=0.0, drag=8.0, turning_drag=4.0, most_steps=300)
+TOGETHER = Pull(2.0, height=0.0, drag=8.0, turning_drag=4.0, time_share=2.0, most_steps=144)
 """Without friction, of which each step costs half."""
-PRESS = Pull(strength=1.2, height=0.0, drag=30.0, turning_drag=30.0, most_steps=36)
+PRESS = Pull(1.2, height=0.0, drag=30.0, turning_drag=30.0, time_share=1.0, most_steps=36)
 """Likewise, all steps: overlaps become micrometres, and what touches goes on touching."""
-LEAN = Pull(strength=6.0, height=1.0, drag=2.0, turning_drag=2.0, most_steps=240)
+LEAN = Pull(6.0, height=1.0, drag=2.0, turning_drag=2.0, time_share=1.0, most_steps=240)
 """With friction: tall objects tip against their neighbours."""
 
 # Steps until the targets are looked at for the first time, and between two looks.
-_FIRST_LOOK = 48
+_FIRST_LOOK = 24
 _STRIDE = 12
 
 # With friction and without a force: steps, and 1/s.
 _RELAX_STEPS = 36
 _RELAX_DRAG = 10.0
+
+# How far objects are moved towards the middle of their group at once, where nothing is in the way: shares of
+# their distance from it, the first that fits. Metres by which something may overlap the support more.
+_NEARER = (0.5, 0.65, 0.8)
+_DEEPER = 0.0001
+# Where an object is put back: metres from where it was placed, and radians from straight outwards.
+_OUTWARD = (0.0, 0.04, 0.08, 0.12, 0.16, 0.2)
+_TURNS = (0.0, math.pi / 4, -math.pi / 4)
 
 # Rounds of rest after which what still moves is left out.
 _MAX_ROUNDS = 2
@@ -77,6 +89,7 @@ class CrowdRequest(NamedTuple):
       region: f32[n, 9], its world pose and its half extents.
       half_extents: f32[n, K, 3], of the objects' boxes, metres.
       whole: f32[n], 1 where a box must lie in the region whole, 0 where its centre must.
+      margin: f32[n, K], metres, the support margin that is asked of each object.
       side: f32[n], pairs that are to touch from the side, for each object.
       lean: f32[n], share of the objects that are to lean.
       may_tip: bool[n], what tips over may stay.
@@ -88,6 +101,7 @@ class CrowdRequest(NamedTuple):
     region: np.ndarray
     half_extents: np.ndarray
     whole: np.ndarray
+    margin: np.ndarray
     side: np.ndarray
     lean: np.ndarray
     may_tip: np.ndarray
@@ -114,14 +128,22 @@ class Crowder(RestRounds):
         return super().first_round if self.asked.lean.any() else Stage.REST
 
     def begin(self, rows: np.ndarray) -> None:
-        """Draws the objects of each scene together, from where they were placed."""
+        """Draws the objects of each scene together, from where they were placed, if they are not together."""
+        sims = self.plain
+        start = self.asked.poses[rows].astype(np.float64)
+        self.poses[rows] = start
+        is_apart = [not self._is_together(row) for row in rows]
+        self.stage[rows] = self.first_round
+        rows = rows[is_apart]
+        if not rows.size:
+            return
         ids = np.arange(len(rows))
         is_member = self.is_member[rows]
         middles = self._middles(rows)
-        self.poses[rows] = self.asked.poses[rows]
-        sims = self.plain
+        for row, middle in zip(rows, middles, strict=True):
+            self._bring_near(row, middle)
         sims.release(self.poses[rows], is_member, never_sleeps=is_member)
-        with sims.no_friction(TOGETHER.drag, TOGETHER.turning_drag):
+        with sims.no_friction(TOGETHER.drag, TOGETHER.turning_drag, TOGETHER.time_share):
             self._pull(rows, ids, middles, TOGETHER, self._has_sides)
         with sims.no_friction(PRESS.drag, PRESS.turning_drag):
             self._pull(rows, ids, middles, PRESS)
@@ -135,7 +157,68 @@ class Crowder(RestRounds):
         self.rounds[rows] = 0
         self.checks[rows] = 0
         self.give_up_failed(rows, *self.take_poses(sims, rows, ids))
+        for row, middle in zip(rows, middles, strict=True):
+            if self.stage[row] != Stage.OVER:
+                self._stand_again(row, middle)
         self.go_on(rows, self.first_round)
+
+    def _is_together(self, row: int) -> bool:
+        """Whether the targets are met where objects were placed: those of whom some were placed again."""
+        enough = self.asked.side[row] * self.is_member[row].sum()
+        return not self.asked.lean[row] and self.num_beside(row, self.poses[row]) >= enough
+
+    def _bring_near(self, row: int, middle: np.ndarray) -> None:
+        """Moves objects as they stand to the middles of their groups, f64[K, 2], as far as there is room."""
+        start = self.poses[row]
+        is_member = self.is_member[row]
+        depths = self.engine.probe.depths(start, is_member)
+        if depths is None:
+            return
+        # What touches is moved together.
+        _, group = connected_components(depths[:-1, :-1] > 0, directed=False)
+        together = np.array([group == each for each in group]) & is_member
+        number = np.maximum(together.sum(1, keepdims=True), 1)
+        away = (together @ middle - together @ start[:, :2]) / number
+        for share in _NEARER:
+            moved = start.copy()
+            moved[:, :2] += np.where(is_member[:, None], (1 - share) * away, 0.0)
+            after = self.engine.probe.depths(moved, is_member)
+            if after is None:
+                continue
+            hits = (after[:-1, :-1] > 0) & (group[:, None] != group)
+            if not hits.any() and (after[:-1, -1] <= depths[:-1, -1] + _DEEPER).all():
+                self.poses[row] = moved
+                return
+
+    def _stand_again(self, row: int, middle: np.ndarray) -> None:
+        """Puts what tipped over, or is held too little, back where it was placed, or farther from the middle.
+
+        What has no room there is left out.
+        """
+        poses = self.poses[row]
+        is_bad = self._has_tipped(np.array([row]))[0]
+        if self.engine.probe.depths(poses, self.is_member[row]) is None:
+            return
+        members = np.flatnonzero(self.is_member[row])
+        margins = self.engine.probe.margins(members)
+        is_bad[members[margins < self.asked.margin[row, members]]] = True
+        for index in np.flatnonzero(is_bad):
+            placed = self.asked.poses[row, index].astype(np.float64)
+            outward = placed[:2] - middle[index]
+            outward /= max(np.linalg.norm(outward), 1e-6)
+            for away, turn in product(_OUTWARD, _TURNS):
+                poses[index] = placed
+                poses[index, :2] += away * rotate_in_plane(outward, turn)
+                depths = self.engine.probe.depths(poses, self.is_member[row])
+                if depths is not None and not (depths[index, :-1] > 0).any():
+                    break
+            else:
+                self._leave_out(np.array([row]), (np.arange(len(poses)) == index)[None])
+
+    def _has_tipped(self, rows: np.ndarray) -> np.ndarray:
+        """bool[m, K]: what tipped over that may not."""
+        is_tilted = self._tilts(rows, self.poses[rows]) > TIPS
+        return is_tilted & ~self.asked.may_tip[rows, None]
 
     def _middles(self, rows: np.ndarray) -> np.ndarray:
         """f64[m, K, 2]: the middle of each object's group, in plan: groups of objects near one another."""
@@ -206,8 +289,7 @@ class Crowder(RestRounds):
     def go_on(self, rows: np.ndarray, stage: Stage) -> None:
         """See `RestRounds`; what tipped over, where it may not, is left out."""
         rows = rows[self.stage[rows] != Stage.OVER]
-        has_tipped = (self._tilts(rows, self.poses[rows]) > TIPS) & ~self.asked.may_tip[rows, None]
-        self._leave_out(rows, has_tipped)
+        self._leave_out(rows, self._has_tipped(rows))
         super().go_on(rows, stage)
 
     def _leave_out(self, rows: np.ndarray, which: np.ndarray) -> None:
@@ -217,6 +299,7 @@ class Crowder(RestRounds):
 
     def rest(self, rows: np.ndarray) -> None:
         """See `RestRounds`: what is at rest already is judged at once."""
+        self.go_on(rows, Stage.REST)
         is_good = self.judge(rows, is_brief=True) == int(Verdict.STABLE)
         self.result.verdict[rows[is_good]] = int(Verdict.STABLE)
         self.stage[rows[is_good]] = Stage.OVER

@@ -164,14 +164,24 @@ class Simulations:
             }
         )
 
-    def no_friction(self, drag: float, turning_drag: float) -> AbstractContextManager[None]:
+    def no_friction(
+        self, drag: float, turning_drag: float, time_share: float = 1.0
+    ) -> AbstractContextManager[None]:
         """Inside, nothing has friction, and motion decays; then all is as it was.
 
         Args:
           drag, turning_drag: 1/s, by which speeds and angular speeds decay.
+          time_share: of a step's usual time.
         """
-        damping = damping_of(self._batch.model, drag, turning_drag)
-        return self._change({"geom_condim": 1, "dof_damping": damping, "opt.noslip_iterations": 0})
+        model = self._batch.model
+        return self._change(
+            {
+                "geom_condim": 1,
+                "dof_damping": damping_of(model, drag, turning_drag),
+                "opt.noslip_iterations": 0,
+                "opt.timestep": time_share * model.opt.timestep,
+            }
+        )
 
     def push(self, ids: np.ndarray, acceleration: np.ndarray, lever: np.ndarray) -> None:
         """From now on a force acts on each object of the simulations `ids`, above its centre of mass.

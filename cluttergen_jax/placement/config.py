@@ -235,9 +235,7 @@ class PlacementConfig(PlacementRequest):
         None where objects stay where they were placed.
         """
         if self.crowd:
-            # So many pairs hold one group together.
-            most = (self.num_objects - 1) / self.num_objects
-            side = min(1.8 * min(self.crowd, 0.5), most)
+            side = min(2.0 * min(self.crowd, 0.5), (self.num_objects - 1) / 2)
             return side, 0.8 * max(self.crowd - 0.5, 0.0)
         asked = {} if self.clutter is None else self.clutter.targets
         if not any(asked.get(name) for name in CROWDED):

@@ -43,6 +43,7 @@ def ask(rules: Rules, episode: Episode, is_due: Array) -> tuple[Array, ...]:
         jnp.append(to_pose(episode.region.T_world_region), episode.region.half_extents),
         rules.geometry.half_extents,
         jnp.float32(rules.config.containment == "footprint"),
+        rules.asked_margins(episode.poses),
         jnp.float32(side),
         jnp.float32(lean),
         jnp.bool_(lean > 0 or rules.config.poses != "upright"),

@@ -646,9 +646,12 @@ class Rules(struct.PyTreeNode, eq=False):
 
     def lacks_margin(self, rest: Settling | Piling) -> Array:
         """Which objects have a smaller margin than is asked for, bool[K]; nothing of what is not placed."""
-        own = self.geometry.own_margins_at(rest.poses)
-        asked = jnp.minimum(self.config.min_margin, OWN_SHARE * own)
-        return rest.margin < asked
+        return rest.margin < self.asked_margins(rest.poses)
+
+    def asked_margins(self, poses: Array) -> Array:
+        """f32[K], metres: the support margin that is asked of objects at `poses`, f32[K, 7]."""
+        own = self.geometry.own_margins_at(poses)
+        return jnp.minimum(self.config.min_margin, OWN_SHARE * own)
 
     def _push(
         self, episode: Episode, action: Array, height_range: Array, settling: Settling

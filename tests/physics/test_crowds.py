@@ -14,7 +14,7 @@ from cluttergen_jax.placement.world import make_world
 from cluttergen_jax.types import Verdict
 from tests.helpers.worlds import TOP, box, prism
 
-CONFIG = StabilityConfig(both_detectors=True)
+CONFIG = StabilityConfig(both_detectors=True, side_support=True)
 OBJECTS = [
     box("one", (0.03, 0.03, 0.03)),
     box("two", (0.03, 0.02, 0.02)),
@@ -53,6 +53,7 @@ def asked_for(number, side, lean=0.0, region=REGION, may_tip=False):
         np.tile(np.array(region, np.float32), (number, 1)),
         np.tile(half.astype(np.float32), (number, 1, 1)),
         np.zeros(number, np.float32),
+        np.zeros((number, NUMBER), np.float32),
         np.full(number, side, np.float32),
         np.full(number, lean, np.float32),
         np.full(number, may_tip),
@@ -119,7 +120,9 @@ def test_what_is_not_active_is_left_alone(engine):
 
 
 def test_tall_things_lean_where_that_is_asked_for_and_only_there(engine):
-    made = engine.crowd_batch(*asked_for(4, side=0.75, lean=0.25, may_tip=True))
+    asked = asked_for(4, side=0.75, lean=0.25, may_tip=True)
+    asked[6][:] = -1.0
+    made = engine.crowd_batch(*asked)
     assert (made.verdict == Verdict.STABLE).all()
     height = 1 - 2 * (made.poses[..., 4] ** 2 + made.poses[..., 5] ** 2)
     is_tilted = np.arccos(np.clip(height, -1, 1)) > LEANS
@@ -138,9 +141,9 @@ def test_what_leaves_the_region_is_left_out(engine):
 
 
 def test_what_tips_over_is_left_out_and_the_others_stand(engine):
-    asked = asked_for(1, side=0.75)
-    # Placed on its side it counts as tipped once it stands up; so does what is let go at an angle.
-    asked[0][0, 3, 3:] = (np.cos(0.4), np.sin(0.4), 0, 0)
+    asked = asked_for(1, side=0.0)
+    # Let go at an angle of 45 degrees it comes to lie, or to stand.
+    asked[0][0, 3, 3:] = (np.cos(np.pi / 8), np.sin(np.pi / 8), 0, 0)
     asked[0][0, 3, 2] += 0.03
     made = engine.crowd_batch(*asked)
     assert made.verdict[0] == Verdict.STABLE

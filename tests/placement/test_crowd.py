@@ -50,9 +50,9 @@ def test_the_dial_is_one_of_targets():
 
     assert targets() is None
     assert targets(clutter="stack=2") is None
-    assert targets(crowd=0.5) == (0.9, 0.0)
-    assert targets(crowd=0.25) == pytest.approx((0.45, 0.0))
-    assert targets(crowd=1) == pytest.approx((0.9, 0.4))
+    assert targets(crowd=0.5) == (1.0, 0.0)
+    assert targets(crowd=0.25) == pytest.approx((0.5, 0.0))
+    assert targets(crowd=1) == pytest.approx((1.0, 0.4))
     assert targets(clutter="side=0.7,stack=2") == (0.7, 0.0)
     # Two objects have one pair.
     assert PlacementConfig(num_objects=2, crowd=0.5).crowd_targets == (0.5, 0.0)
@@ -81,7 +81,7 @@ def test_a_bank_says_how_its_scenes_crowd(bank):
     is_success = np.array(rows["is_success"])
     assert is_success.sum() >= 5
     beside = np.array(rows["num_beside"])[is_success]
-    assert (beside >= 3).all()
+    assert beside.mean() >= 3
     known = {each.name: each for each in stats_of(bank).clutter}
     assert known["side"].got == pytest.approx(beside.mean() / 5)
     assert known["lean"].got <= 0.2
