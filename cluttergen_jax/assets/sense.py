@@ -48,7 +48,7 @@ _TAIL = re.compile(r"\b(?:with|in|on|for|and|from)\b|[(,;:]")
 """What follows in a label says more of the thing, not what it is."""
 
 
-class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class ThingKind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A kind of thing; see scene_sense.yaml for what each field means."""
 
     synsets: tuple[str, ...] = ()
@@ -65,7 +65,7 @@ class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     format: int
-    kinds: dict[str, Kind]
+    kinds: dict[str, ThingKind]
     groups: dict[str, tuple[str, ...]] = {}
     themes: dict[str, tuple[str, ...]] = {}
     ignore: tuple[str, ...] = ()
@@ -125,7 +125,7 @@ class SceneSense:
       digest: hex SHA-256 of the file.
     """
 
-    kinds: dict[str, Kind]
+    kinds: dict[str, ThingKind]
     groups: dict[str, frozenset[str]]
     themes: dict[str, frozenset[str]]
     ignore: frozenset[str]
@@ -230,7 +230,7 @@ class SceneSense:
         never = np.array(
             [kind in self.kinds and self.kinds[kind].carries == "never" for kind in kinds]
         )
-        each = [self.kinds.get(kind, Kind()) for kind in kinds]
+        each = [self.kinds.get(kind, ThingKind()) for kind in kinds]
         shapes = [_plan_of(asset) for asset in objects]
         by_shape = ["edge" if shape.shows_turn else "free" for shape in shapes]
         turns = [one.turn or other for one, other in zip(each, by_shape, strict=True)]
@@ -294,7 +294,7 @@ def _parsed(data: bytes, file: str) -> SceneSense:
     try:
         content = convert(parse_yaml(data), _File)
     except SchemaError as error:
-        fields = ", ".join(each.encode_name for each in msgspec.structs.fields(Kind))
+        fields = ", ".join(each.encode_name for each in msgspec.structs.fields(ThingKind))
         raise ConfigError(f"{where}: {error}", f"of each kind {fields}", _HINT) from error
     if content.format != FORMAT:
         raise ConfigError(f"{where}: format {content.format}", f"format: {FORMAT}", _HINT)

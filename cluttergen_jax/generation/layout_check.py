@@ -77,7 +77,7 @@ def _about(text: str, **more: Any) -> Any:
     return Meta(description=text, **more)
 
 
-class Layout(msgspec.Struct, forbid_unknown_fields=True):
+class LayoutFields(msgspec.Struct, forbid_unknown_fields=True):
     """A layout as its file has it; the descriptions are those of its schema."""
 
     objects: Annotated[
@@ -182,7 +182,7 @@ class Layout(msgspec.Struct, forbid_unknown_fields=True):
     ] = None
 
 
-FIELDS = Layout.__struct_fields__
+FIELDS = LayoutFields.__struct_fields__
 _MEANT = {
     **dict.fromkeys(("items", "roles", "things", "instances"), "objects"),
     **dict.fromkeys(("constraints", "rules"), "relations"),
@@ -212,9 +212,9 @@ def layout_schema() -> dict[str, Any]:
     The reader's own fields make it. What a schema cannot say, such as which objects a pool has, is for
     `check_layout`.
     """
-    found = msgspec.json.schema(Layout)
+    found = msgspec.json.schema(LayoutFields)
     definitions = found["$defs"]
-    own = definitions.pop(Layout.__name__)
+    own = definitions.pop(LayoutFields.__name__)
     own["title"] = "A layout of cluttergen"
     own["description"] = "What shall stand where on a table, in YAML or JSON."
     schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **own}
@@ -348,11 +348,11 @@ def parse_content(data: bytes) -> Any:
     return parse_yaml(data)
 
 
-def read_fields(content: Any) -> tuple[Layout, list[LayoutFault]]:
+def read_fields(content: Any) -> tuple[LayoutFields, list[LayoutFault]]:
     """The fields of a layout; those that are of another form are left out, and are faults."""
     if not isinstance(content, dict):
         given = f"{_kind_of(content)} instead of a mapping"
-        return Layout({}), [LayoutFault("", given, f"a mapping with {', '.join(FIELDS)}")]
+        return LayoutFields({}), [LayoutFault("", given, f"a mapping with {', '.join(FIELDS)}")]
     faults = [
         LayoutFault(
             key,
@@ -366,13 +366,13 @@ def read_fields(content: Any) -> tuple[Layout, list[LayoutFault]]:
     values: dict[str, Any] = {"objects": {}}
     if "objects" not in content:
         faults.append(LayoutFault("objects", "it is missing", "a mapping of names to objects"))
-    for field in msgspec.structs.fields(Layout):
+    for field in msgspec.structs.fields(LayoutFields):
         if field.name in content:
             value, found = _read_field(field.name, content[field.name], field.type)
             faults += found
             if value is not None:
                 values[field.name] = value
-    return convert(values, Layout), faults
+    return convert(values, LayoutFields), faults
 
 
 def _read_field(name: str, value: Any, kind: Any) -> tuple[Any, list[LayoutFault]]:
@@ -465,7 +465,7 @@ def pool_of(name: str, exclude: Sequence[str] = ()) -> Pool:
 
 
 def meaning_faults(
-    layout: Layout, facts: Sequence[ObjectFacts] | None = None, pool: str = ""
+    layout: LayoutFields, facts: Sequence[ObjectFacts] | None = None, pool: str = ""
 ) -> Iterator[LayoutFault]:
     """What names, conditions and relations say that cannot be.
 
@@ -535,7 +535,9 @@ def _relation_meant(text: str) -> str:
         return f"{subject} {kind} {reference}"
 
 
-def _pool_faults(layout: Layout, facts: Sequence[ObjectFacts], pool: str) -> Iterator[LayoutFault]:
+def _pool_faults(
+    layout: LayoutFields, facts: Sequence[ObjectFacts], pool: str
+) -> Iterator[LayoutFault]:
     """Objects that the pool does not have."""
     for name, condition in layout.objects.items():
         try:
@@ -576,7 +578,7 @@ _SIDE = tuple(_OPPOSITE)
 _APART = ("next_to", "far_from")
 
 
-def _contradictions(layout: Layout) -> Iterator[LayoutFault]:
+def _contradictions(layout: LayoutFields) -> Iterator[LayoutFault]:
     """Relations of which each can hold, but not all."""
     found: list[tuple[int, Relation]] = []
     for place, text in enumerate(layout.relations):
@@ -631,7 +633,7 @@ def _contradiction(one: Relation, two: Relation) -> str:
     return ""
 
 
-def _number_faults(layout: Layout, num_known: int) -> Iterator[LayoutFault]:
+def _number_faults(layout: LayoutFields, num_known: int) -> Iterator[LayoutFault]:
     """More objects than a scene can have, and other numbers that cannot be; the pool has `num_known`."""
     number = len(layout.objects) + layout.others
     if number > MAX_SLOTS:
@@ -649,7 +651,7 @@ def _number_faults(layout: Layout, num_known: int) -> Iterator[LayoutFault]:
             yield replace(fault, hint="clutter: {stack: 2, near: 0.02}")
 
 
-def _field_of(error: ClutterGenError, layout: Layout) -> str:
+def _field_of(error: ClutterGenError, layout: LayoutFields) -> str:
     """The field of a layout that an error of its request is about; "" where that is not plain."""
     for name, condition in layout.objects.items():
         if re.search(rf"role {name!r}|{re.escape(condition)!r}", error.given):
@@ -658,7 +660,7 @@ def _field_of(error: ClutterGenError, layout: Layout) -> str:
     return next((field for field in fields if field in error.given), "")
 
 
-def spec_of_layout(layout: Layout) -> SceneSpec:
+def spec_of_layout(layout: LayoutFields) -> SceneSpec:
     """The request that a layout without faults is (ConfigError: it has one)."""
     relations = tuple(map(Relation.parse, layout.relations))
     conditions = conditions_of(tuple(layout.objects.items()), relations)
@@ -690,7 +692,7 @@ that a layout names, but for what is on or in another, from where it is refused:
 stand on others, fills 8 of 8 tables with ten of kitchen at 1.5, 4 of 8 at 3.0, 2 of 8 at 4.6."""
 
 
-def _room_notes(spec: SceneSpec, layout: Layout, pool: Pool) -> list[str]:
+def _room_notes(spec: SceneSpec, layout: LayoutFields, pool: Pool) -> list[str]:
     """What is odd about the room that a request has.
 
     Raises:

@@ -20,8 +20,8 @@ from cluttergen_jax.assets.pool import embedded_root
 from cluttergen_jax.errors import ConfigError, closest, printable
 from cluttergen_jax.files import is_regular_file
 from cluttergen_jax.generation.layout_check import (
-    Layout,
     LayoutError,
+    LayoutFields,
     meaning_faults,
     parse_content,
     place_of,
@@ -73,7 +73,7 @@ def asked_of(layout: str | Path) -> Record | None:
     return {**words, "tries": asked.tries}
 
 
-def read_fields_of(layout: str | Path, pool: str | Path | None = None) -> Layout:
+def read_fields_of(layout: str | Path, pool: str | Path | None = None) -> LayoutFields:
     """The fields of a layout; see `read_layout`."""
     path = layout_path(layout)
     try:

@@ -6,9 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cluttergen_jax.placement.problem import Problem, passes_through
+from cluttergen_jax.placement.problem import Problem
 from cluttergen_jax.placement.related import IN
 from cluttergen_jax.placement.relations import SIDES, Relation, parse_relations
+from cluttergen_jax.placement.ways_in import passes_through
 from cluttergen_jax.scene.bank.relation_tally import RelationFailures
 
 _WIDER = 2.0

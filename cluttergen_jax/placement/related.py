@@ -82,7 +82,7 @@ class RelatedObjects(struct.PyTreeNode):
       kind: i32[R], of `arrangements.ALL_KINDS`; gap: f32[R], metres.
       ways_in: f32[K, K, P], log weights of the orientations in which an object, row, is released over a
         container, column, in which it is to be; None where it is released as anywhere. This and the next are
-        those of `placement.problem.find_ways_in`.
+        those of `placement.ways_in.find_ways_in`.
       goes_in: bool[K, K], False where no such orientation was found.
       asset: i32[K], equal for copies of the same thing; lift: f32[K], metres, `arranged.lift_of` each. None
         where nothing is stacked or nested.
