@@ -17,7 +17,7 @@ import numpy as np
 from cluttergen_jax.assets.sense import FREE, SceneSense, plan_shape
 from cluttergen_jax.importing.readers.mjcf import Geom
 from cluttergen_jax.physics.layout import Layout
-from cluttergen_jax.physics.margin import MIN_LIFT
+from cluttergen_jax.physics.margin import MAX_BESIDE
 from cluttergen_jax.placement.world import World, base_name, compile_layout
 
 if TYPE_CHECKING:
@@ -298,7 +298,7 @@ def _carried_pairs(
     found = set()
     for contact, lift in _contacts(model, data, gap):
         first, second = (owner[contact.geom[0]], owner[contact.geom[1]])
-        if first >= 0 and second >= 0 and first != second and abs(lift) >= MIN_LIFT:
+        if first >= 0 and second >= 0 and first != second and abs(lift) >= MAX_BESIDE:
             found.add((second, first) if lift > 0 else (first, second))
     return {(int(upper), int(lower)) for upper, lower in found}
 

@@ -49,6 +49,9 @@ PRESS = Pull(1.2, height=0.0, drag=30.0, turning_drag=30.0, time_share=1.0, most
 LEAN = Pull(6.0, height=1.0, drag=2.0, turning_drag=2.0, time_share=1.0, most_steps=240)
 """With friction: tall objects tip against their neighbours."""
 
+_NO_TURN = 300.0
+"""1/s, by which angular speeds decay where objects keep how they are turned."""
+
 # Steps until the targets are looked at for the first time, and between two looks.
 _FIRST_LOOK = 24
 _STRIDE = 12
@@ -93,6 +96,7 @@ class CrowdRequest(NamedTuple):
       side: f32[n], pairs that are to touch from the side, for each object.
       lean: f32[n], share of the objects that are to lean.
       may_tip: bool[n], what tips over may stay.
+      is_kept: bool[n], objects keep how they are turned, and what they lie on.
     """
 
     poses: np.ndarray
@@ -105,6 +109,7 @@ class CrowdRequest(NamedTuple):
     side: np.ndarray
     lean: np.ndarray
     may_tip: np.ndarray
+    is_kept: np.ndarray
 
 
 class Crowder(RestRounds):
@@ -143,7 +148,8 @@ class Crowder(RestRounds):
         for row, middle in zip(rows, middles, strict=True):
             self._bring_near(row, middle)
         sims.release(self.poses[rows], is_member, never_sleeps=is_member)
-        with sims.no_friction(TOGETHER.drag, TOGETHER.turning_drag, TOGETHER.time_share):
+        turning_drag = _NO_TURN if self.asked.is_kept.any() else TOGETHER.turning_drag
+        with sims.no_friction(TOGETHER.drag, turning_drag, TOGETHER.time_share):
             self._pull(rows, ids, middles, TOGETHER, self._has_sides)
         with sims.no_friction(PRESS.drag, PRESS.turning_drag):
             self._pull(rows, ids, middles, PRESS)
@@ -191,12 +197,12 @@ class Crowder(RestRounds):
                 return
 
     def _stand_again(self, row: int, middle: np.ndarray) -> None:
-        """Puts what tipped over, or is held too little, back where it was placed, or farther from the middle.
+        """Puts what tipped over, is held too little, or climbed where it may not, back where it was placed.
 
-        What has no room there is left out.
+        If there is no room it stands a little farther from the middle of its group, or is left out.
         """
         poses = self.poses[row]
-        is_bad = self._has_tipped(np.array([row]))[0]
+        is_bad = self._has_tipped(np.array([row]))[0] | self._has_climbed(row)
         if self.engine.probe.depths(poses, self.is_member[row]) is None:
             return
         members = np.flatnonzero(self.is_member[row])
@@ -214,6 +220,19 @@ class Crowder(RestRounds):
                     break
             else:
                 self._leave_out(np.array([row]), (np.arange(len(poses)) == index)[None])
+
+    def _has_climbed(self, row: int) -> np.ndarray:
+        """bool[K]: what lies on an object on which it was not placed, where it may not."""
+        if not self.asked.is_kept[row]:
+            return np.zeros(self.is_member.shape[1], bool)
+        carried = [
+            self.engine.probe.carried()
+            for poses in (self.asked.poses[row], self.poses[row])
+            if self.engine.probe.depths(poses, self.is_member[row]) is not None
+        ]
+        if len(carried) < 2:
+            return np.zeros(self.is_member.shape[1], bool)
+        return (carried[1] & ~carried[0]).any(1)
 
     def _has_tipped(self, rows: np.ndarray) -> np.ndarray:
         """bool[m, K]: what tipped over that may not."""

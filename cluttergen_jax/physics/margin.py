@@ -270,6 +270,17 @@ class OverlapProbe:
         """The objects that press object `index` upwards in that scene: bool[K]."""
         return bearers_of(self._layout, self._data, index)
 
+    def carried(self) -> np.ndarray:
+        """Which objects, by row, lie on which, pressed upwards and not from the side: bool[K, K]."""
+        contact = self._data.contact
+        pair = self._layout.geom_object[contact.geom]
+        lift = contact.frame[:, 2]
+        upper, lower = np.where(lift > 0, pair.T[::-1], pair.T)
+        presses = (np.abs(lift) >= MAX_BESIDE) & (contact.dist < 0)
+        lies = np.zeros((self._layout.num_objects + 1,) * 2, bool)
+        lies[upper[presses], lower[presses]] = True
+        return lies[:-1, :-1]
+
     def beside(self) -> np.ndarray:
         """The pairs of objects that touch from the side in that scene, over gaps within reach: bool[K, K]."""
         return beside_of(self._layout, self._data, self._reach)

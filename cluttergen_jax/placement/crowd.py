@@ -47,6 +47,7 @@ def ask(rules: Rules, episode: Episode, is_due: Array) -> tuple[Array, ...]:
         jnp.float32(side),
         jnp.float32(lean),
         jnp.bool_(lean > 0 or rules.config.poses != "upright"),
+        jnp.bool_(lean == 0 and rules.config.natural),
         is_due,
     )
 

@@ -649,7 +649,9 @@ class Rules(struct.PyTreeNode, eq=False):
         return rest.margin < self.asked_margins(rest.poses)
 
     def asked_margins(self, poses: Array) -> Array:
-        """f32[K], metres: the support margin that is asked of objects at `poses`, f32[K, 7]."""
+        """f32[K], metres: the support margin asked of objects at `poses`, f32[K, 7]; -inf for none."""
+        if not self.config.min_margin:
+            return jnp.full(self.geometry.num_objects, -jnp.inf)
         own = self.geometry.own_margins_at(poses)
         return jnp.minimum(self.config.min_margin, OWN_SHARE * own)
 

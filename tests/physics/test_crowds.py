@@ -57,6 +57,7 @@ def asked_for(number, side, lean=0.0, region=REGION, may_tip=False):
         np.full(number, side, np.float32),
         np.full(number, lean, np.float32),
         np.full(number, may_tip),
+        np.zeros(number, bool),
         np.ones(number, bool),
     ]
 
