@@ -261,15 +261,7 @@ class StabilityConfig:
     robust_turn: float = math.radians(2)
 
     def __post_init__(self) -> None:
-        others = (
-            "per_axis",
-            "stop_when_decided",
-            "judge_neighbours",
-            "both_detectors",
-            "side_support",
-            "lower_releases",
-            "robust_tilt",
-        )
+        others = {"per_axis", *_DECIDED} - {"timestep"}
         check_positive(self, *(f.name for f in fields(self) if f.name not in others))
         if not (isinstance(self.robust_tilt, Real) and 0 <= self.robust_tilt < math.pi / 2):
             raise ConfigError(

@@ -478,7 +478,7 @@ class SceneSpec(PlacementRequest):
     def _asks(self, name: str) -> bool:
         """Whether a field of `TARGETS` asks for what not every method brings about."""
         if name == "clutter" and self.clutter is not None:
-            return Clutter.of(self.clutter).drawn is not None
+            return Clutter.of(self.clutter).for_draw is not None
         return bool(getattr(self, name))
 
     def _asks_to_lean(self) -> bool:

@@ -22,14 +22,14 @@ objects:
   {laptop: laptop, mouse: mouse, coffee: mug, book: hardback_book, atlas: hardback_book, glasses: eyeglasses,
    phone: desk_phone, notes: sticky_notes, pens: pen_holder, calculator: calculator, stapler: stapler}
 relations:
-  - laptop aligned table
   - mouse right_of laptop:0.08
   - coffee left_of laptop:0.12
   - atlas on book
   - glasses on atlas
   - pens behind laptop:0.15
   - notes next_to phone:0.04
-clutter: {near: 0.01}
+natural: true
+crowd: 0.25
 """
 prompt = sys.stdin.read()
 if "Your last answer was" not in prompt:
@@ -44,7 +44,7 @@ print("Here is your desk:\\n```yaml" + layout + "```")
 # sizes, and the sentence. `desk.answers.json` keeps every answer with its errors, and their places:
 #
 #     objects.notes: 'post_its', which no object of pool 'office+study+dining' is. Allowed: keyboard, ...
-#     relations[6]: 'beside' in relation 'notes beside phone:0.04'. Did you mean 'notes next_to phone:0.04'?
+#     relations[5]: 'beside' in relation 'notes beside phone:0.04'. Did you mean 'notes next_to phone:0.04'?
 
 # %%
 if __name__ == "__main__":

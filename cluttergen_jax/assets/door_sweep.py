@@ -54,13 +54,14 @@ def check_empty(doors: Doors) -> None:
             on_way = found[1:-1, door] - np.maximum(found[0, door], found[-1, door])
             at, other = np.unravel_index(int(np.argmax(on_way)), on_way.shape)
             if on_way[at, other] > _HITS:
-                raise _blocked(doors, door, int(other), float((at + 1) / _SWEEP))
+                raise _closing_error(doors, door, int(other), float((at + 1) / _SWEEP))
             closed = found[-1, door] - found[0, door]
             if closed.max() > _CLOSED_HITS:
-                raise _blocked(doors, door, int(np.argmax(closed)), 1.0)
+                raise _closing_error(doors, door, int(np.argmax(closed)), 1.0)
 
 
-def _blocked(doors: Doors, door: int, other: int, share: float) -> ConfigError:
+def _closing_error(doors: Doors, door: int, other: int, share: float) -> ConfigError:
+    """What is said of a door that hits something when it has made this share of its way."""
     joint = doors.open.joints[doors.numbers[door]]
     value = joint.value + share * float(doors.travel[door])
     place = f"{value:.2f} m" if joint.kind == "slide" else f"{math.degrees(value):.0f} degrees"

@@ -193,18 +193,18 @@ def _moved_surface(surface: Surface, T: np.ndarray) -> Surface | None:
         return replace(surface, position=(x, y, z)) if abs(T[0, 0]) > _UPRIGHT else None
     yaw = float(np.arctan2(T[1, 0], T[0, 0]))
 
-    def moved(ring: Sequence[Sequence[float]]) -> Ring:
+    def move_ring(ring: Sequence[Sequence[float]]) -> Ring:
         flat = rotate_in_plane(np.array(ring), yaw) + T[:2, 3]
         return tuple((float(x), float(y)) for x, y in flat)
 
-    ((x, y),) = moved([surface.region.center])
+    ((x, y),) = move_ring([surface.region.center])
     region = Rectangle((x, y), surface.region.half_extents, surface.region.yaw + yaw)
     return replace(
         surface,
         position=(0.0, 0.0, surface.position[2] + float(T[2, 3])),
         region=region,
-        outline=moved(surface.outline),
-        holes=tuple(moved(hole) for hole in surface.holes),
+        outline=move_ring(surface.outline),
+        holes=tuple(move_ring(hole) for hole in surface.holes),
     )
 
 

@@ -282,14 +282,14 @@ def read_sense(path: str | Path = "") -> SceneSense:
         data = read_written(file)
     except (OSError, SchemaError) as error:
         raise ConfigError(f"sense = {str(path)!r}: {error}", "a YAML file", _HINT) from error
-    return _parsed(data, str(file))
+    return _parse_sense(data, str(file))
 
 
 _HINT = "a copy of cluttergen_jax/assets/scene_sense.yaml, changed"
 
 
 @lru_cache(maxsize=8)
-def _parsed(data: bytes, file: str) -> SceneSense:
+def _parse_sense(data: bytes, file: str) -> SceneSense:
     where = f"sense {file}"
     try:
         content = convert(parse_yaml(data), _File)

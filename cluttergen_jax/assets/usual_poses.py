@@ -53,7 +53,7 @@ def usual_weights(
         return likelihood / likelihood.sum()
     if way == "lying":
         lies = height <= height.min() * _AS_LOW
-        return _shared(lies, likelihood, _STANDS_UP)
+        return _share_out(lies, likelihood, _STANDS_UP)
     own = np.arange(len(height)) == 0
     if way == "upright":
         return own.astype(float)
@@ -73,7 +73,7 @@ def usual_weights(
     return np.where(own, 1 - share, share * others / others.sum())
 
 
-def _shared(is_usual: np.ndarray, likelihood: np.ndarray, rest: float) -> np.ndarray:
+def _share_out(is_usual: np.ndarray, likelihood: np.ndarray, rest: float) -> np.ndarray:
     """f64[P]: the share `rest` is that of all that are not usual; each in proportion to its likelihood."""
     usual = np.where(is_usual, likelihood, 0.0)
     other = likelihood - usual

@@ -74,6 +74,8 @@ class Options:
             if name in taken
             and not (only_changed and value == defaults[name])
             and (value is not None or taken[name].default is inspect.Parameter.empty)
+            # Of options that are several in one, too: it may have others than their defaults.
+            and not (dataclasses.is_dataclass(value) and value == defaults[name])
         }
         return function(**chosen | changes)
 

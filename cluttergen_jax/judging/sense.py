@@ -119,11 +119,11 @@ class SenseFindings:
         ]
         if self.unusual:
             lines.append(
-                f"unusual     {_listed(f'{upper} on {lower}' for upper, lower in self.unusual)}"
+                f"unusual     {_list_most(f'{upper} on {lower}' for upper, lower in self.unusual)}"
             )
         if self.free:
             more = f"; {len(self.unknown)} carried pairs are not counted" if self.unknown else ""
-            lines.append(f"free        without a known label: {_listed(self.free)}{more}")
+            lines.append(f"free        without a known label: {_list_most(self.free)}{more}")
         return lines
 
 
@@ -135,7 +135,7 @@ def _text(share: float | None) -> str:
     return "none" if share is None else f"{share:.3f}"
 
 
-def _listed(names: Iterable[str]) -> str:
+def _list_most(names: Iterable[str]) -> str:
     counts = Counter(names).most_common()
     shown = [f"{name} ({number})" if number > 1 else name for name, number in counts[:_MOST_SHOWN]]
     more = f" and {len(counts) - _MOST_SHOWN} more" if len(counts) > _MOST_SHOWN else ""

@@ -226,7 +226,7 @@ class Crowder(RestRounds):
         if not self.asked.is_kept[row]:
             return np.zeros(self.is_member.shape[1], bool)
         carried = [
-            self.engine.probe.carried()
+            self.engine.probe.lies_on()
             for poses in (self.asked.poses[row], self.poses[row])
             if self.engine.probe.depths(poses, self.is_member[row]) is not None
         ]

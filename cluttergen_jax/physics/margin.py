@@ -270,7 +270,7 @@ class OverlapProbe:
         """The objects that press object `index` upwards in that scene: bool[K]."""
         return bearers_of(self._layout, self._data, index)
 
-    def carried(self) -> np.ndarray:
+    def lies_on(self) -> np.ndarray:
         """Which objects, by row, lie on which, pressed upwards and not from the side: bool[K, K]."""
         contact = self._data.contact
         pair = self._layout.geom_object[contact.geom]

@@ -130,7 +130,7 @@ class NativePhysics(HostPhysics):
             for block in self._blocks(is_active & is_sound):
                 start = poses[block]
                 if self.config.lower_releases:
-                    start = self._lowered(start, is_placed[block], focus[block])
+                    start = self._lower_releases(start, is_placed[block], focus[block])
                 attempt = _Attempt(self, start, is_placed[block], focus[block])
                 attempt.run()
                 attempt.report(result, block)
@@ -138,7 +138,9 @@ class NativePhysics(HostPhysics):
                     attempt.disturb(result, block)
         return result
 
-    def _lowered(self, poses: np.ndarray, is_placed: np.ndarray, focus: np.ndarray) -> np.ndarray:
+    def _lower_releases(
+        self, poses: np.ndarray, is_placed: np.ndarray, focus: np.ndarray
+    ) -> np.ndarray:
         """f[n, K, 7]: scenes whose focus objects are lowered to the last of small steps without a contact."""
         lowered = poses.copy()
         for row, index in enumerate(focus.tolist()):

@@ -246,16 +246,16 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         natural = search.rules.natural
         drawn = [draw_candidates(keys[0], episode.region, config.num_uniform)]
         if natural is not None:
-            drawn[0] = natural.turned(jax.random.fold_in(key, 7), scene, drawn[0])
+            drawn[0] = natural.turn_candidates(jax.random.fold_in(key, 7), scene, drawn[0])
         if number := _TIDY_FINALISTS if search.rules.config.tidy else config.num_finalists:
             many = draw_candidates(keys[1], episode.region, search.config.num_candidates)
             if natural is not None:
-                many = natural.turned(jax.random.fold_in(key, 8), scene, many)
+                many = natural.turn_candidates(jax.random.fold_in(key, 8), scene, many)
             drawn.append(search.best(scene, many, number))
         if number := self._num_above:
             above = above_objects(keys[2], scene, search.rules, number)
             if natural is not None:
-                above = natural.turned(jax.random.fold_in(key, 9), scene, above)
+                above = natural.turn_candidates(jax.random.fold_in(key, 9), scene, above)
             drawn.append(above)
         if number := self._num_inside:
             drawn.append(inside_objects(jax.random.fold_in(key, 4), scene, search.rules, number))
@@ -265,10 +265,17 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
         if (related := search.rules.related) is not None:
             of_relations = jax.random.fold_in(key, 3)
             geometry = search.rules.geometry
-            drawn.append(related_candidates(of_relations, scene, related, geometry, _RELATED))
+            beside = [related_candidates(of_relations, scene, related, geometry, _RELATED)]
             if search.rules.config.relations_prefer:
                 usual = jax.random.fold_in(key, 5)
-                drawn.append(usual_candidates(usual, scene, related, geometry, _USUAL))
+                beside.append(usual_candidates(usual, scene, related, geometry, _USUAL))
+            if natural is not None:
+                keys = jax.random.split(jax.random.fold_in(key, 11), len(beside))
+                beside = [
+                    natural.face_seat(each, scene, some)
+                    for each, some in zip(keys, beside, strict=True)
+                ]
+            drawn += beside
         return self._look(scene, jax.tree.map(lambda *parts: jnp.concatenate(parts), *drawn))
 
     def look(self, episode: Episode, candidates: Candidates) -> CandidateSet:

@@ -72,7 +72,7 @@ class Clutter:
         return {name: value for name, value in named.items() if value is not None}
 
     @property
-    def drawn(self) -> Clutter | None:
+    def for_draw(self) -> Clutter | None:
         """What the draw of a place can bring about: all but `CROWDED`; None where nothing is left."""
         rest = replace(self, **dict.fromkeys(CROWDED))
         return rest if rest.targets else None

@@ -226,7 +226,7 @@ class PlacementConfig(PlacementRequest):
     @property
     def drawn_clutter(self) -> Clutter | None:
         """The targets that the draw of a place brings about."""
-        return None if self.clutter is None else self.clutter.drawn
+        return None if self.clutter is None else self.clutter.for_draw
 
     @property
     def crowd_targets(self) -> tuple[float, float] | None:

@@ -61,9 +61,7 @@ def conclude(rules: Rules, episode: Episode, piling: Piling, is_due: Array) -> E
     is_well = _lies_well(rules, episode, piling) | ~stays
     is_related = _is_related(rules, episode, piling)
     verdict = piling.verdict
-    has_margin = is_well | True
-    if rules.config.min_margin:
-        has_margin = ~(stays & rules.lacks_margin(piling))
+    has_margin = ~(stays & rules.lacks_margin(piling))
     complaints = (
         (jnp.all(has_margin), Verdict.UNSUPPORTED),
         (jnp.all(is_well) & ~jnp.any(piling.is_left_out), Verdict.OUTSIDE),

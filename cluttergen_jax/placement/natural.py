@@ -19,7 +19,7 @@ from cluttergen_jax.assets.sense import TURNS, UNUSUAL, USUAL, SenseArrays, sens
 from cluttergen_jax.placement.boxes import Boxes, footprint_area
 from cluttergen_jax.placement.features import Supporters
 from cluttergen_jax.placement.search import Candidates, SearchScene
-from cluttergen_jax.placement.types import Episode, Geometry
+from cluttergen_jax.placement.types import Episode, Geometry, choose
 from cluttergen_jax.types import Array
 
 if TYPE_CHECKING:
@@ -194,9 +194,15 @@ class Natural(struct.PyTreeNode):
         is_exact = jax.random.uniform(key_exact, (number,)) < _EXACT
         return jnp.where(is_exact & (turn != _FREE), usual + _NEARLY * spread, other)
 
-    def turned(self, key: Array, scene: SearchScene, candidates: Candidates) -> Candidates:
+    def turn_candidates(self, key: Array, scene: SearchScene, candidates: Candidates) -> Candidates:
         """The same places, with usual turns."""
         return Candidates(candidates.xy, self.yaws(key, scene, candidates.yaw.shape[0]))
+
+    def face_seat(self, key: Array, scene: SearchScene, candidates: Candidates) -> Candidates:
+        """The same places; with usual turns, if the current object is turned to the seat."""
+        turn = self.turn[scene.focus]
+        turned = self.turn_candidates(key, scene, candidates)
+        return choose((turn == _FRONT) | (turn == _TOWARDS), turned, candidates)
 
     def candidates(
         self, key: Array, scene: SearchScene, geometry: Geometry, number: int

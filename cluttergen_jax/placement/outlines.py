@@ -174,7 +174,7 @@ class Obstacles(struct.PyTreeNode):
         meets = (enters < leaves) & (leaves > 0) & ~is_beside
         return jnp.min(jnp.where(meets, jnp.maximum(enters, 0.0), jnp.inf), axis=1)
 
-    def touched(self, turn: Array, xy: Array, near: float) -> Array:
+    def contact_at(self, turn: Array, xy: Array, near: float) -> Array:
         """f32[N], metres: the length of the object's outline that is next to others, at most `near` away."""
         gap, way = self.gap(turn, xy)
         pieces = self.face.shape[1]

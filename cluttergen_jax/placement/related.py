@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -384,6 +385,40 @@ def usual_heading(across: Array, references: Boxes, turn: Array) -> Array:
     return jnp.where(is_long(references), along, across)
 
 
+class _PlacedPairs(NamedTuple):
+    """The current object and, relation by relation, what it is related to. R relations.
+
+    Attributes:
+      is_subject: bool[R], the current object is the subject; counts: bool[R], the other is placed.
+      others, openings: R boxes, of the other object, and of its hollow.
+    """
+
+    is_subject: Array
+    counts: Array
+    others: Boxes
+    openings: Boxes
+
+    @staticmethod
+    def of(
+        related: RelatedObjects, episode: Episode, focus: Array, geometry: Geometry
+    ) -> _PlacedPairs:
+        """Of the current object, i32, in an episode."""
+        assert episode.roles is not None
+        is_subject, is_reference, other, is_table = related.pairs(episode.roles, focus)
+        counts = (is_subject | is_reference) & (episode.is_placed[other] | is_table)
+        poses = episode.safe_poses
+        others = Boxes.of(geometry.half_extents, poses).take(other)
+        # What is in a thing comes after it.
+        return _PlacedPairs(is_subject, counts, others, openings_of(geometry, poses).take(other))
+
+    def boxes_at(self, box: Boxes) -> tuple[Boxes, Boxes, Boxes]:
+        """The current object's box R times, and R boxes each of subjects and of references."""
+        own = box.repeat(len(self.is_subject))
+        subjects = jax.vmap(choose)(self.is_subject, own, self.others)
+        references = jax.vmap(choose)(self.is_subject, self.others, own)
+        return own, subjects, references
+
+
 def preference(
     related: RelatedObjects, episode: Episode, focus: Array, proposed: Boxes, geometry: Geometry
 ) -> Array:
@@ -395,12 +430,8 @@ def preference(
     Args:
       focus: i32, the current object; proposed: N boxes of it.
     """
-    assert episode.roles is not None
-    is_subject, is_reference, other, is_table = related.pairs(episode.roles, focus)
-    counts = (is_subject | is_reference) & (episode.is_placed[other] | is_table)
-    poses = episode.safe_poses
-    others = Boxes.of(geometry.half_extents, poses).take(other)
-    openings = openings_of(geometry, poses).take(other)
+    pairs = _PlacedPairs.of(related, episode, focus, geometry)
+    counts = pairs.counts
     turn = episode.region.T_world_region.inverse().rotation().as_matrix()
     side = jnp.array(DIRECTIONS)[related.kind]
     has_side = jnp.any(side != 0, axis=1)
@@ -409,9 +440,7 @@ def preference(
         return jnp.isin(related.kind, jnp.array([KINDS.index(name) for name in names]))
 
     def at(box: Boxes) -> Array:
-        own = box.repeat(len(other))
-        subjects = jax.vmap(choose)(is_subject, own, others)
-        references = jax.vmap(choose)(is_subject, others, own)
+        own, subjects, references = pairs.boxes_at(box)
         offset = ((subjects.center - references.center) @ turn.T)[:, :2]
         gap = jax.vmap(lambda one, two: gaps(_alone(one), _alone(two))[0, 0])(subjects, references)
         line = jnp.where(has_side[:, None], side, offset)
@@ -420,12 +449,12 @@ def preference(
         )
         by_side = -((away / CONE_SPREAD) ** 2) / 2
         by_gap = -jnp.abs(gap / jnp.nan_to_num(related.gap, nan=1.0) - USUAL_GAP) / _NEAR
-        hollows = jax.vmap(choose)(is_kind("in") & is_subject, openings, references)
+        hollows = jax.vmap(choose)(is_kind("in") & pairs.is_subject, pairs.openings, references)
         inner = ((subjects.center - hollows.center) @ turn.T)[:, :2]
         plan = jnp.sort(jnp.linalg.norm(hollows.sides[..., :2], axis=-1), axis=-1)[:, 1:]
         by_middle = -jnp.sum(inner**2, axis=1) / jnp.mean((_MIDDLE * plan) ** 2, axis=1) / 2
         across = jnp.arctan2(line[:, 0], -line[:, 1])
-        wanted = usual_heading(across, others, turn)
+        wanted = usual_heading(across, pairs.others, turn)
         turned = jnp.mod(heading_of(own, turn) - wanted + jnp.pi / 2, jnp.pi) - jnp.pi / 2
         by_turn = jnp.where(is_long(own), -((turned / TURN_SPREAD) ** 2) / 2, 0.0)
         aligned = _turn_away(related, subjects, references, turn)
@@ -486,21 +515,13 @@ def allowed_at(
     Args:
       focus: i32, the current object; proposed: N boxes of it.
     """
-    assert episode.roles is not None
-    is_subject, is_reference, other, is_table = related.pairs(episode.roles, focus)
-    counts = (is_subject | is_reference) & (episode.is_placed[other] | is_table)
-    poses = episode.safe_poses
-    # What is in a thing comes after it.
-    others = Boxes.of(geometry.half_extents, poses).take(other)
-    opening = openings_of(geometry, poses).take(other)
+    pairs = _PlacedPairs.of(related, episode, focus, geometry)
 
     def at(box: Boxes) -> Array:
-        own = box.repeat(len(other))
-        subjects = jax.vmap(choose)(is_subject, own, others)
-        references = jax.vmap(choose)(is_subject, others, own)
-        is_well = hold(related, subjects, references, opening, episode.region)
+        _, subjects, references = pairs.boxes_at(box)
+        is_well = hold(related, subjects, references, pairs.openings, episode.region)
         is_well &= (related.kind != ON) | is_over(subjects.center, references, 1.0)
-        return jnp.all(is_well | ~counts)
+        return jnp.all(is_well | ~pairs.counts)
 
     return jax.vmap(at)(proposed)
 

@@ -1,16 +1,19 @@
 """The command line: quick to explain itself, every choice named, and a word for what was misspelt."""
 
+import functools
 import json
 import os
 import re
 import shlex
 import subprocess
 import sys
+from types import SimpleNamespace
 from typing import get_args
 
 import pytest
 
 from cluttergen_jax import config
+from cluttergen_jax.api.render import render
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.cli.main import COMMANDS, load, main, overview, parse_words
@@ -174,3 +177,17 @@ def test_what_a_command_compiles_the_next_one_finds(tmp_path):
         name.split("-")[0] for name in programs[0]
     }
     assert programs[0] == programs[1]
+
+
+@pytest.mark.parametrize(("words", "azimuth"), [("", None), ("--azimuth 90", 90.0)])
+def test_a_view_that_is_not_asked_for_is_left_to_the_function(words, azimuth):
+    told = {}
+
+    @functools.wraps(render)
+    def note(source, **options):
+        told.update(options)
+        return SimpleNamespace(is_whole=True)
+
+    options = parse_words(load("render"), "render", ["bank", *words.split()])
+    options.call(note)
+    assert getattr(told.get("view"), "azimuth", None) == azimuth

@@ -59,8 +59,8 @@ def test_the_dial_is_one_of_targets():
 
 
 def test_a_draw_does_not_see_what_is_drawn_together_later():
-    assert Clutter.of("side=1,stack=2").drawn == Clutter.of("stack=2")
-    assert Clutter.of("side=1,lean=0.5").drawn is None
+    assert Clutter.of("side=1,stack=2").for_draw == Clutter.of("stack=2")
+    assert Clutter.of("side=1,lean=0.5").for_draw is None
     with pytest.raises(ConfigError, match="side"):
         Clutter.of("side=6").check(10)
 

@@ -55,6 +55,14 @@ def test_fronts_face_the_seat(seat):
     assert np.all(front @ SEATS[seat] > np.cos(np.radians(26)))
 
 
+def test_fronts_face_the_seat_in_relations_too():
+    rules = rules_of("laptop", "mouse", relations=("mouse right_of laptop",))
+    placer = make_proposer("spread", rules)
+    found = placer.candidates(jax.random.key(1), rules.begin(jax.random.key(0)))
+    yaw = np.asarray(found.found.candidates.yaw)
+    assert np.all(np.cos(yaw) > np.cos(np.radians(26)))
+
+
 @pytest.mark.parametrize("seat", ["-y", "+x"])
 def test_forks_point_to_the_seat(seat):
     yaw = yaws_of(rules_of("fork", seat=seat))

@@ -106,8 +106,8 @@ def test_flat_sides_touch_along_their_length(outlines):
     zero = jnp.zeros(2, jnp.int32)
     # One side by side with the other, and one that is moved along it by 4 cm of its 10.
     xy = jnp.array([[0.0, 0.0], [0.04, 0.0]])
-    touched = np.asarray(obstacles.touched(zero, xy, 0.005))
+    touched = np.asarray(obstacles.contact_at(zero, xy, 0.005))
     # Each piece of what is convex is there twice: so are the pairs.
     assert touched / 4 == pytest.approx([0.1, 0.06], abs=0.002)
-    far = np.asarray(obstacles.touched(zero, xy - 0.01, 0.005))
+    far = np.asarray(obstacles.contact_at(zero, xy - 0.01, 0.005))
     assert far[0] == 0

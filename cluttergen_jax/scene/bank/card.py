@@ -242,7 +242,7 @@ def _recipe_section(recipe: Recipe, bits: list[Bits]) -> str:
         else recipe.get("method"),
         "checkpoint": recipe.get("checkpoint_hash") or "none",
         "seed": recipe.get("seed"),
-        **_asked(recipe),
+        **_rows_of_request(recipe),
         "engine": recipe.get("engine"),
         "queried region": recipe.get("region"),
         "containment": placement.get("containment"),
@@ -277,7 +277,7 @@ def _recipe_section(recipe: Recipe, bits: list[Bits]) -> str:
     )
 
 
-def _asked(recipe: Recipe) -> dict[str, str]:
+def _rows_of_request(recipe: Recipe) -> dict[str, str]:
     """The sentence that its layout is from, and who wrote it; nothing where there is none."""
     asked = recipe.get("asked")
     if not isinstance(asked, dict):

@@ -175,7 +175,7 @@ class ClutterTally:
     """
 
     def __init__(self, bank: Bank) -> None:
-        self._arranged = _arranged(bank)
+        self._arranged = _arrangement_targets(bank)
         self._targets = _targets(bank) | self._arranged
         self._names = (*NAMES, *(name for name in _ARRANGED if name in self._arranged))
         self._number = dict.fromkeys(self._names, 0)
@@ -245,7 +245,7 @@ def _targets(bank: Bank) -> dict[str, float]:
         raise record_error(bank.path, error) from error
 
 
-def _arranged(bank: Bank) -> dict[str, float]:
+def _arrangement_targets(bank: Bank) -> dict[str, float]:
     """How many objects a bank's arrangements put in rows, upon and into their like; none if it has none."""
     try:
         asked = parse_arrangements(bank.recipe.get("placement", {}).get("arrangements", ()))
