@@ -10,6 +10,7 @@ import re
 import signal
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,9 @@ MOST_KEPT = 1_200_000_000
 """Bytes of a process between two modules; above, what it has compiled is dropped."""
 # Many tests compile the same programs: what one process has compiled the others read.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(HERE.parent / ".pytest_cache" / "jax"))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+# Traces make millions of objects that stay; looking for garbage among them took a seventh of the time.
+gc.set_threshold(50_000, 20, 20)
 
 
 def is_allowed(reason: str) -> bool:
@@ -49,6 +52,22 @@ def pool(tmp_path_factory):
     from tests.helpers.worlds import trio
 
     return str(write_pool(tmp_path_factory.mktemp("pools") / "trio", Pool("trio", tuple(trio()))))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def embedded_objects():
+    """Objects of the embedded pools, which no test changes, are read once a process."""
+    from cluttergen_jax.assets import pool
+
+    read = pool.read_object
+    read_once = cache(read)
+
+    def read_object(folder):
+        return (read_once if pool.embedded_root() in folder.parents else read)(folder)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pool, "read_object", read_object)
+        yield
 
 
 @pytest.fixture(autouse=True)

@@ -110,6 +110,7 @@ def same_as_generated(runner, folder, spec, number=4):
     return outcome
 
 
+@pytest.mark.slow
 def test_scenes_of_a_row_are_those_of_generate(runner, tmp_path):
     spec = dataclasses.replace(
         SMALL,

@@ -61,10 +61,9 @@ def test_every_method_is_the_same_program_whatever_is_set(pool, method):
         assert str(jax.make_jaxpr(sample)(new_key(0))) == usual
 
 
-def test_a_sampler_runs_where_all_is_set_otherwise(pool):
-    assert set(json.loads(elsewhere("tests.helpers.sampled_elsewhere", pool, "guided"))) == {
-        "guided"
-    }
+@pytest.mark.parametrize("method", ["clear", pytest.param("guided", marks=pytest.mark.slow)])
+def test_a_sampler_runs_where_all_is_set_otherwise(pool, method):
+    assert set(json.loads(elsewhere("tests.helpers.sampled_elsewhere", pool, method))) == {method}
 
 
 @pytest.mark.slow

@@ -44,6 +44,12 @@ def sample(twelve):
     return cg.make_sampler(twelve, **ASKED)
 
 
+@pytest.fixture(scope="module")
+def many():
+    """Eight scenes of a sampler, compiled once."""
+    return jax.jit(lambda sample, keys: jax.vmap(sample)(keys))
+
+
 def test_draws_are_even_weighted_and_balanced():
     weights = np.array([1.0, 1, 1, 1, 4, 0])
     keys = jax.random.split(jax.random.key(0), 400)
@@ -63,8 +69,7 @@ def test_draws_are_even_weighted_and_balanced():
         draw_shelf(keys[0], 6, weights)
 
 
-def test_a_scene_is_that_of_its_seed_and_number(bank, sample):
-    many = jax.jit(lambda sample, keys: jax.vmap(sample)(keys))
+def test_a_scene_is_that_of_its_seed_and_number(bank, sample, many):
     key = jax.random.key(5)
     shelves = []
     for block in (0, 1):
@@ -87,9 +92,8 @@ def test_a_scene_is_that_of_its_seed_and_number(bank, sample):
     assert [len(names) for names in shelves] == [4, 4]
 
 
-def test_another_shelf_and_the_first_one_again(sample):
-    many = jax.jit(lambda sample, keys: jax.vmap(sample)(keys))
-    keys = jax.random.split(jax.random.key(1), 4)
+def test_another_shelf_and_the_first_one_again(sample, many):
+    keys = jax.random.split(jax.random.key(1), 8)
     first = jax.device_get(many(sample, keys))
     other = sample.reshelve(jax.random.key(7))
     assert other.names != sample.names

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import StabilityConfig
@@ -13,7 +15,7 @@ from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.problem import Problem, ProblemConfig, compose
 from cluttergen_jax.placement.region import Region, make_region
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.types import Geometry
+from cluttergen_jax.placement.types import Episode, Geometry, Transition
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
 from tests.helpers.worlds import trio
 
@@ -49,30 +51,35 @@ class HalfTable:
 
 def made_up_rules(world_size: int = 6, physics: HalfTable | None = None, **placement) -> Rules:
     """Rules over the made-up physics; object k is 2 (k + 1) cm high, the region 0.6 x 0.4 m and unturned."""
-    height = 0.01 * (1 + jnp.arange(world_size, dtype=jnp.float32))
-    half_extents = jnp.stack(
-        [jnp.full(world_size, 0.02), jnp.full(world_size, 0.03), height], axis=-1
+    # In NumPy, of which nothing is compiled.
+    height = np.float32(0.01) * (1 + np.arange(world_size, dtype=np.float32))
+    geometry = Geometry(
+        half_extents=np.stack(
+            [np.full(world_size, 0.02), np.full(world_size, 0.03), height], axis=-1
+        ),
+        center_of_mass=np.zeros((world_size, 3)),
+        own_margin=np.full(world_size, 0.02),
+        cloud=np.zeros((world_size, 8, 3)),
+        column_xy=np.zeros((world_size, 1, 2)),
+        column_bottom=-height[:, None],
+        is_column=np.ones((world_size, 1), bool),
+        surface=np.stack([np.zeros(world_size), np.zeros(world_size), height], axis=-1)[:, None],
+        surface_owner=np.arange(world_size),
+        boxes=np.array([[0.0, 0.0, 0.35, 0.3, 0.2, 0.35, 0.0]]),
+        top=np.float32(0.7),
     )
     return Rules(
         PlacementConfig(**{"num_objects": 4} | placement),
         physics or HalfTable(),
-        Geometry(
-            half_extents=half_extents,
-            center_of_mass=jnp.zeros((world_size, 3)),
-            own_margin=jnp.full(world_size, 0.02),
-            cloud=jnp.zeros((world_size, 8, 3)),
-            column_xy=jnp.zeros((world_size, 1, 2)),
-            column_bottom=-height[:, None],
-            is_column=jnp.ones((world_size, 1), bool),
-            surface=jnp.stack([jnp.zeros(world_size), jnp.zeros(world_size), height], axis=-1)[
-                :, None
-            ],
-            surface_owner=jnp.arange(world_size),
-            boxes=jnp.array([[0.0, 0.0, 0.35, 0.3, 0.2, 0.35, 0.0]]),
-            top=jnp.float32(0.7),
-        ),
+        jax.tree.map(jnp.asarray, geometry),
         region(),
     )
+
+
+@jax.jit
+def try_action(rules: Rules, episode: Episode, action: Array) -> tuple[Episode, Transition]:
+    """`Rules.attempt`, compiled once for all rules of equal settings and sizes."""
+    return rules.attempt(episode, action)
 
 
 def region(yaw: float = 0.0) -> Region:

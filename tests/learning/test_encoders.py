@@ -22,9 +22,6 @@ from cluttergen_jax.learning.networks.cloud_encoder import (
 from cluttergen_jax.learning.ppo.ppo import PPO, PPOConfig
 from cluttergen_jax.placement.env import PlacementEnv
 from tests.helpers.problems import made_up_rules
-from tests.helpers.runs import compiled_once
-
-__all__ = ["compiled_once"]
 
 KINDS = ("pointnet", "pointnet2")
 SMALL = NetworkConfig(

@@ -13,9 +13,7 @@ from cluttergen_jax.learning.training.pretrain import PretrainConfig, Pretrainin
 from cluttergen_jax.learning.training.run import Run, RunConfig, with_encoder
 from cluttergen_jax.learning.training.run_folder import RunFolder
 from tests.helpers.problems import made_up_rules
-from tests.helpers.runs import PPO, compiled_once, recipe
-
-__all__ = ["compiled_once"]
+from tests.helpers.runs import PPO, recipe
 
 TINY = NetworkConfig(scene_encoder="pointnet", object_points=48, object_features=24)
 CONFIG = PretrainConfig(

@@ -14,9 +14,7 @@ from cluttergen_jax.learning.training import run_logger
 from cluttergen_jax.learning.training.run_logger import read_rows
 from cluttergen_jax.placement.observation import ObservationConfig, observe
 from tests.helpers.problems import made_up_rules
-from tests.helpers.runs import Stopping, compiled_once, make_run, weights
-
-__all__ = ["compiled_once"]
+from tests.helpers.runs import Stopping, make_run, weights
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +87,10 @@ def test_policy_reads_back_and_acts(trained):
     )
     changed = {jax.tree_util.keystr(path).split("'")[3] for path, change in pairs if change > 1e-3}
     assert changed <= {"critic", "value"}
-    seen = jax.tree.map(lambda leaf: leaf[None], observe(rules, episode, ObservationConfig()))
-    whole, _ = policy.agent.apply(state.params, seen)
-    np.testing.assert_allclose(action, whole.mean()[0], atol=0.01)
+
+    @jax.jit
+    def mean_of(params, episode):
+        seen = jax.tree.map(lambda leaf: leaf[None], observe(rules, episode, ObservationConfig()))
+        return policy.agent.apply(params, seen)[0].mean()[0]
+
+    np.testing.assert_allclose(action, mean_of(state.params, episode), atol=0.01)

@@ -6,10 +6,7 @@ import pytest
 
 from cluttergen_jax.learning.training.run import Updates, num_updates
 from tests.helpers.probes import Bandit, Tiny, learner
-from tests.helpers.runs import compiled_once
 from tests.helpers.trees import same_bits
-
-__all__ = ["compiled_once"]
 
 NOTHING, OBSERVATION, REWARD, LARGE, LAST = range(5)
 
@@ -41,7 +38,7 @@ class Sick(Bandit):
 
 
 @pytest.fixture(scope="module")
-def sick(compiled_once):
+def sick():
     """Updates of up to three at once, and a state to begin with: rollouts are whole episodes."""
     ppo = learner(Sick(), num_envs=4, num_steps=4, num_minibatches=2, num_epochs=2)
     state = jax.jit(ppo.start)(jax.random.key(1), Tiny().init(jax.random.key(0), jnp.zeros((1, 2))))

@@ -11,9 +11,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.ppo.checkpoint import read_record
 from cluttergen_jax.learning.training.run_folder import Interrupt
 from cluttergen_jax.learning.training.run_logger import MetricsLog, WandbLog, read_rows
-from tests.helpers.runs import compiled_once, make_run
-
-__all__ = ["compiled_once"]
+from tests.helpers.runs import make_run
 
 
 def test_a_log_is_continued_and_a_torn_row_is_left_out(tmp_path):

@@ -10,33 +10,29 @@ from cluttergen_jax.assets.facts import ObjectFacts
 from cluttergen_jax.placement.related import RelatedObjects
 from cluttergen_jax.placement.relations import parse_relations
 from cluttergen_jax.types import Verdict
-from tests.helpers.problems import made_up_rules, trio_problem
+from tests.helpers.problems import made_up_rules, trio_problem, try_action
 
 GOOD = jnp.array([0.9, 0.5, 0.5, 0.2])
-
-
-def verdict_of(rules, action, episode=None):
-    episode = rules.begin(jax.random.key(0)) if episode is None else episode
-    return int(jax.jit(rules.attempt)(episode, jnp.array(action))[0].verdict)
 
 
 def test_what_stands_on_the_wrong_side_is_unrelated():
     facts = [ObjectFacts(name, name, (0.1,) * 3, 1e-3, 0.1, "", "", 1, False) for name in "abcdef"]
     related = RelatedObjects.of(parse_relations(["a left_of b"]), (), facts)
     rules = dataclasses.replace(made_up_rules(), related=related)
-    first = jax.jit(rules.attempt)(rules.begin(jax.random.key(0)), GOOD)[0]
+    first = try_action(rules, rules.begin(jax.random.key(0)), GOOD)[0]
     for x, verdict in ((0.95, Verdict.UNRELATED), (0.7, Verdict.STABLE)):
-        assert verdict_of(rules, [x, 0.5, 0.5, 0.2], first) == verdict
+        assert try_action(rules, first, GOOD.at[0].set(x))[0].verdict == verdict
 
 
 def test_a_place_beside_a_polygon_is_outside():
     corners = jnp.array([[0.0, -0.2], [0.3, -0.2], [0.3, 0.2]])
     rules = dataclasses.replace(made_up_rules(order="fixed"), polygon=corners)
+    episode = rules.begin(jax.random.key(0))
     for action, verdict in (
         ([0.9, 0.5, 0.5, 0.2], Verdict.STABLE),
         ([0.7, 0.9, 0.5, 0.2], Verdict.OUTSIDE),
     ):
-        assert verdict_of(rules, action) == verdict
+        assert try_action(rules, episode, jnp.array(action))[0].verdict == verdict
 
 
 @pytest.mark.parametrize(("overhang", "most"), [("none", 0.0), ("half", 0.25), ("any", 0.5)])

@@ -160,15 +160,15 @@ def test_of_a_bank_alone_its_name_is_known():
 def test_an_environment_tells_what_its_method_would_do(pool):
     asked = SceneSpec(pool=pool, num_objects=2, method=near_middle)
     env = cg.make_env(asked, history_stride=0, num_cells=0)
-    state = env.reset(jax.random.key(0))
+    state = jax.jit(env.reset)(jax.random.key(0))
     key = jax.random.key(1)
-    action = env.propose(key, state)
+    action = jax.jit(env.propose)(key, state)
     episode = state.pipeline_state.episode
     np.testing.assert_allclose(action, 2 * near_middle(key, episode) - 1, rtol=1e-5)
-    assert np.isfinite(env.step(state, action).reward)
+    assert np.isfinite(jax.jit(env.step)(state, action).reward)
     plain = cg.make_env(replace(asked, method=None), history_stride=0, num_cells=0)
     with pytest.raises(ConfigError, match="an environment without a method"):
-        plain.propose(key, plain.reset(key))
+        plain.propose(key, state)
     with pytest.raises(ConfigError, match="action='surface'"):
         cg.make_env(asked, action="surface")
     with pytest.raises(ConfigError, match="'pile'"):

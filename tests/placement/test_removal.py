@@ -13,22 +13,25 @@ import numpy as np
 import pytest
 
 from cluttergen_jax.assets.support import cuboid_table
+from cluttergen_jax.placement import rules as placement_rules
 from cluttergen_jax.placement.config import MAX_MARGIN, ORDER_POWER, PlacementConfig
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.methods.table import make_proposer
 from cluttergen_jax.placement.problem import ProblemConfig, compose
 from cluttergen_jax.placement.rollout import BlockSampler, EpisodeRecorder
-from cluttergen_jax.placement.rules import choose_removal, remove, supported_by
+from cluttergen_jax.placement.rules import supported_by
 from cluttergen_jax.placement.scenes import scene_of
 from cluttergen_jax.placement.types import Start
 from cluttergen_jax.types import Verdict
-from tests.helpers.problems import HalfTable, made_up_rules
+from tests.helpers.problems import HalfTable, made_up_rules, try_action
 from tests.helpers.trees import same_bits
 from tests.helpers.worlds import trio
 
 GOOD = jnp.array([0.9, 0.5, 0.5, 0.2])
 BAD = jnp.array([0.1, 0.5, 0.5, 0.2])
 EMPTY_POSE = np.eye(7, dtype=np.float32)[3]
+remove = jax.jit(placement_rules.remove)
+choose_removal = jax.jit(placement_rules.choose_removal)
 
 
 def sized_rules(side, **placement):
@@ -45,10 +48,9 @@ def orders(rules, number=2000, seed=0):
 
 def play(rules, actions, episode=None, seed=0):
     """The episodes before the first action and after each."""
-    attempt = jax.jit(rules.attempt)
     episodes = [episode or rules.begin(jax.random.key(seed))]
     for action in actions:
-        episodes.append(attempt(episodes[-1], action)[0])
+        episodes.append(try_action(rules, episodes[-1], action)[0])
     return episodes
 
 
@@ -185,7 +187,7 @@ def test_what_leans_on_the_removed_goes_too_and_comes_again_after_the_current_ob
     rules = leaning(PILE)
     before = play(rules, [GOOD, BAD, GOOD, GOOD, GOOD, BAD])[-1]
     assert before.object_index.tolist() == [0, 1, 2, 3, 4, 5]
-    after = jax.jit(remove)(before, some(1), rules.geometry)
+    after = remove(before, some(1), rules.geometry)
     # 1 and, as it lies on it, 2; the current object, 4, comes first.
     assert after.object_index.tolist() == [0, 3, 4, 1, 2, 5]
     assert (int(after.slot), int(after.attempt)) == (2, 0)

@@ -9,7 +9,7 @@ from cluttergen_jax.placement.region import KeepOut, make_region, pose_of_action
 from cluttergen_jax.placement.scenes import scene_of
 from cluttergen_jax.placement.types import Start
 from cluttergen_jax.types import Verdict
-from tests.helpers.problems import SINK, HalfTable, made_up_rules
+from tests.helpers.problems import SINK, HalfTable, made_up_rules, try_action
 from tests.helpers.trees import same_bits
 
 GOOD = jnp.array([0.9, 0.5, 0.5, 0.2])
@@ -18,11 +18,10 @@ BAD = jnp.array([0.1, 0.5, 0.5, 0.2])
 
 def run(rules, actions, key=0):
     """The episodes before the first action and after each, and the rewards."""
-    attempt = jax.jit(rules.attempt)
     episodes = [rules.begin(jax.random.key(key))]
     rewards = []
     for action in actions:
-        episode, transition = attempt(episodes[-1], action)
+        episode, transition = try_action(rules, episodes[-1], action)
         episodes.append(episode)
         rewards.append(float(transition.reward))
     return episodes, rewards
@@ -135,12 +134,17 @@ def test_start_scene_counts_as_neighbours_and_is_not_drawn_again():
     rules = made_up_rules()
     poses = jnp.zeros((6, 7)).at[:, 3].set(1.0).at[2, :3].set(jnp.array([0.1, 0.1, 0.73]))
     start = Start(poses, jnp.arange(6) == 2)
-    for key in jax.random.split(jax.random.key(0), 20):
+
+    @jax.jit
+    @jax.vmap
+    def first_attempt(key):
         episode = rules.begin(key, start=start)
-        assert 2 not in np.asarray(episode.object_index)
-        after, _ = rules.attempt(episode, GOOD)
-        np.testing.assert_array_equal(after.poses[2], poses[2])
-        assert bool(after.is_placed[2])
+        return episode.object_index, rules.attempt(episode, GOOD)[0]
+
+    drawn, after = first_attempt(jax.random.split(jax.random.key(0), 20))
+    assert 2 not in np.asarray(drawn)
+    np.testing.assert_array_equal(after.poses[:, 2], np.tile(poses[2], (20, 1)))
+    assert after.is_placed[:, 2].all()
 
 
 def test_outside_and_kept_out_are_not_stable():
@@ -148,11 +152,11 @@ def test_outside_and_kept_out_are_not_stable():
     narrow = make_region(jnp.zeros(2), jnp.array([0.3, 0.2]), 0.0, 0.7)
     keep_out = KeepOut(jnp.array([[0.24, 0.0]]), jnp.array([[0.02, 0.02]]), jnp.zeros(1))
     episode = rules.begin(jax.random.key(0), region=narrow, keep_out=keep_out)
-    after, _ = rules.attempt(episode, GOOD)
+    after, _ = try_action(rules, episode, GOOD)
     assert int(after.verdict) == Verdict.OUTSIDE
     assert int(after.slot) == 0
     strict = made_up_rules(containment="footprint")
-    after, _ = strict.attempt(strict.begin(jax.random.key(0)), GOOD.at[0].set(0.999))
+    after, _ = try_action(strict, strict.begin(jax.random.key(0)), GOOD.at[0].set(0.999))
     assert int(after.verdict) == Verdict.OUTSIDE
 
 

@@ -4,6 +4,7 @@ import inspect
 import json
 import os
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -39,15 +40,16 @@ def test_every_argument_is_explained():
         assert re.search(rf"\b{argument}\b", told), argument
 
 
-def test_evaluate_in_a_checkout_makes_suites_and_compares():
-    def asked(*words):
-        command = [sys.executable, str(ROOT / "evaluate.py"), *words]
-        return subprocess.run(command, capture_output=True, text=True, check=False)
-
-    suite = asked("--suite", "paper", "--only", "nothing", "--out", os.devnull)
+def test_evaluate_in_a_checkout_makes_suites_and_compares(capsys):
+    program = ROOT / "evaluate.py"
+    words = ["--suite", "paper", "--only", "nothing", "--out", os.devnull]
+    suite = subprocess.run(
+        [sys.executable, str(program), *words], capture_output=True, text=True, check=False
+    )
     assert suite.returncode == 2
     assert suite.stderr.startswith("error: ")
-    assert "usage: cluttergen evaluate" in asked("--help").stdout
+    assert runpy.run_path(str(program))["evaluate"](["--help"]) == 0
+    assert "usage: cluttergen evaluate" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
