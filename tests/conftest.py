@@ -10,7 +10,7 @@ import re
 import signal
 import subprocess
 import sys
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 import pytest
@@ -56,7 +56,7 @@ def pool(tmp_path_factory):
 
 @pytest.fixture(scope="session", autouse=True)
 def embedded_objects():
-    """Objects of the embedded pools, which no test changes, are read once a process."""
+    """Objects of the embedded pools, which no test changes, are read and cut into columns once a process."""
     from cluttergen_jax.assets import pool
 
     read = pool.read_object
@@ -67,6 +67,8 @@ def embedded_objects():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pool, "read_object", read_object)
+        if world := sys.modules.get("cluttergen_jax.placement.world"):
+            patch.setattr(world, "height_profile_of", lru_cache(256)(world.height_profile_of))
         yield
 
 

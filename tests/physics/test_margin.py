@@ -19,7 +19,7 @@ from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.placement.types import Start
 from cluttergen_jax.placement.world import make_world
 from cluttergen_jax.types import Verdict
-from tests.helpers.problems import HalfTable, made_up_rules
+from tests.helpers.problems import HalfTable, made_up_rules, try_action
 from tests.helpers.worlds import TOP, box
 
 GOOD = jnp.array([0.9, 0.5, 0.5, 0.2])
@@ -87,7 +87,7 @@ def attempt(margin, **placement):
     """The episode after one good attempt at the first object of six; margins that are not given are 2 cm."""
     physics = Margins(margin=tuple(margin.get(k, 0.02) for k in range(6)))
     rules = made_up_rules(physics=physics, order="fixed", **placement)
-    return jax.jit(rules.attempt)(rules.begin(jax.random.key(0)), GOOD)[0]
+    return try_action(rules, rules.begin(jax.random.key(0)), GOOD)[0]
 
 
 def test_too_small_a_margin_is_a_verdict_of_its_own():
@@ -109,10 +109,9 @@ def test_a_neighbour_that_lost_its_support_counts_unless_it_stood_there_before()
     )
     poses = jnp.zeros((6, 7)).at[:, 3].set(1.0)
     around = rules.begin(jax.random.key(0), start=Start(poses, jnp.arange(6) == 1))
-    attempt_in = jax.jit(rules.attempt)
-    assert int(attempt_in(around, GOOD)[0].verdict) == Verdict.STABLE
+    assert int(try_action(rules, around, GOOD)[0].verdict) == Verdict.STABLE
     own = dataclasses.replace(around, first_slot=jnp.int32(0))
-    assert int(attempt_in(own, GOOD)[0].verdict) == Verdict.UNSUPPORTED
+    assert int(try_action(rules, own, GOOD)[0].verdict) == Verdict.UNSUPPORTED
 
 
 def test_a_narrow_object_is_asked_for_a_third_of_its_own():
@@ -121,7 +120,7 @@ def test_a_narrow_object_is_asked_for_a_third_of_its_own():
         geometry = rules.geometry.replace(own_margin=jnp.full(6, own))
         narrow = dataclasses.replace(rules, geometry=geometry)
         episode = narrow.begin(jax.random.key(0))
-        assert int(jax.jit(narrow.attempt)(episode, GOOD)[0].verdict) == verdict
+        assert int(try_action(narrow, episode, GOOD)[0].verdict) == verdict
 
 
 @pytest.fixture(scope="module")

@@ -16,6 +16,7 @@ from cluttergen_jax.placement.region import action_of_pose
 from cluttergen_jax.placement.search import CLEARANCE
 from cluttergen_jax.spec import SceneSpec
 from cluttergen_jax.types import Verdict
+from tests.helpers.problems import try_action
 
 DEGREES = np.radians(5.0)
 SEATS = {"-y": (0, -1), "+y": (0, 1), "-x": (-1, 0), "+x": (1, 0)}
@@ -84,7 +85,7 @@ def stacked(is_natural, lower, upper):
         body = rules.body(episode)
         position = jnp.array([0.0, 0.0, height + body.height + CLEARANCE])
         action = action_of_pose(position, 0.0, episode.region, rules.height_range(episode))
-        episode, transition = rules.attempt(episode, action)
+        episode, transition = try_action(rules, episode, action)
         height += 2 * body.half_extents[2]
     return Verdict(int(transition.verdict))
 
