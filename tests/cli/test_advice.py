@@ -12,6 +12,7 @@ import cluttergen_jax
 from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.cli.main import COMMANDS, main
 from cluttergen_jax.placement import problem
+from tests.helpers.error_calls import error_calls
 from tests.helpers.worlds import box
 
 PACKAGE = Path(cluttergen_jax.__file__).parent
@@ -196,9 +197,7 @@ def hints():
             for each in tree.body
             if isinstance(each, ast.Assign)
         }
-        for node in ast.walk(tree):
-            if not isinstance(node, ast.Call) or not ast.unparse(node.func).endswith("Error"):
-                continue
+        for node in error_calls(tree):
             found = [*node.args[2:3], *(each.value for each in node.keywords if each.arg == "hint")]
             found = [shared.get(ast.unparse(each), each) for each in found]
             for part in (part for each in found for part in ast.walk(each)):

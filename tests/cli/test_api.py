@@ -13,6 +13,7 @@ from cluttergen_jax.cli.flags import with_flags
 from cluttergen_jax.cli.main import COMMANDS, load, main
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.policies.embedded import list_policies
+from tests.helpers.error_calls import error_calls
 from tests.helpers.options import options_in
 
 ROOT = Path(__file__).parents[2]
@@ -145,9 +146,7 @@ def test_the_library_speaks_of_no_flags():
     for path in package.rglob("*.py"):
         if skipped & set(path.parents):
             continue
-        for node in ast.walk(ast.parse(path.read_text())):
-            if not isinstance(node, ast.Call) or not ast.unparse(node.func).endswith("Error"):
-                continue
+        for node in error_calls(ast.parse(path.read_text())):
             for text in map(ast.unparse, [*node.args, *(each.value for each in node.keywords)]):
                 if flag := re.search(r"(?<![\w-])--[a-z]", text):
                     assert "cluttergen " in text[: flag.start()], f"{path.name}: {text}"
