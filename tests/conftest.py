@@ -59,11 +59,12 @@ def embedded_objects():
     """Objects of the embedded pools, which no test changes, are read and cut into columns once a process."""
     from cluttergen_jax.assets import pool
 
+    root = pool.embedded_root()
     read = pool.read_object
     read_once = cache(read)
 
     def read_object(folder):
-        return (read_once if pool.embedded_root() in folder.parents else read)(folder)
+        return (read_once if root in folder.parents else read)(folder)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pool, "read_object", read_object)

@@ -59,7 +59,7 @@ def test_fronts_face_the_seat(seat):
 def test_fronts_face_the_seat_in_relations_too():
     rules = rules_of("laptop", "mouse", relations=("mouse right_of laptop",))
     placer = make_proposer("spread", rules)
-    found = placer.candidates(jax.random.key(1), rules.begin(jax.random.key(0)))
+    found = jax.jit(placer.candidates)(jax.random.key(1), rules.begin(jax.random.key(0)))
     yaw = np.asarray(found.found.candidates.yaw)
     assert np.all(np.cos(yaw) > np.cos(np.radians(26)))
 
