@@ -32,6 +32,7 @@ from cluttergen_jax.rendering.scene_renderer import (
     open_scene_renderer,
     turntable_points,
 )
+from cluttergen_jax.rendering.seat_mark import seat_mark
 from cluttergen_jax.rendering.sheet import with_caption
 from cluttergen_jax.sensing.camera import Camera
 
@@ -179,6 +180,7 @@ def replay(
     picture = _with_size_of(picture or PictureConfig(samples=8), camera)
     frames = replay_frames(recording, config)
     points = _end_points(recording)
+    mark = seat_mark(recording.region, recording.support, recording.seat)
     with open_scene_renderer(recording.objects, recording.support, points, picture) as renderer:
         renderer.camera = camera or renderer.camera
         image = None
@@ -187,7 +189,9 @@ def replay(
             # The end stands still: it is drawn once.
             if image is None or frame is not shown:
                 image = with_caption(
-                    renderer.picture(frame.styles, frame.trails), frame.caption, frame.dot
+                    renderer.picture(frame.styles, (*frame.trails, *mark)),
+                    frame.caption,
+                    frame.dot,
                 )
                 shown = frame
             yield image
@@ -209,6 +213,7 @@ def turntable(
     count = max(2, round(config.fps * config.seconds))
     styles = _standing(recording, recording.poses, recording.is_placed)
     points = _end_points(recording)
+    mark = seat_mark(recording.region, recording.support, recording.seat)
     with open_scene_renderer(recording.objects, recording.support, points, picture) as renderer:
         around = turntable_points(renderer.content if picture.whole else points)
         for number in range(count):
@@ -218,7 +223,7 @@ def turntable(
             else:
                 renderer.camera = _rotate_about(camera, recording.region.center, math.radians(turn))
             # The lights go with the camera: it is the table that turns.
-            yield renderer.picture(styles, light_yaw=math.radians(turn))
+            yield renderer.picture(styles, mark, light_yaw=math.radians(turn))
 
 
 def _with_size_of(picture: PictureConfig, camera: Camera | None) -> PictureConfig:
