@@ -13,6 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 import cluttergen_jax as cg
 from cluttergen_jax.files import file_whole
+from cluttergen_jax.rendering import CameraView
 from cluttergen_jax.rendering.assets import render_scene
 
 HERE = Path(__file__).parent / "images"
@@ -22,6 +23,7 @@ SUPPORT = "table-0.60x0.70"
 NUM_OBJECTS = 10
 # Scenes tried for each picture; pixels of a picture, of the titles' edges and between pictures.
 TRIED = 4
+VIEW = CameraView(azimuth=112.0, elevation=-38.0)
 CELL = (300, 225)
 EDGE = (30, 26)
 GAP = 6
@@ -29,27 +31,34 @@ QUALITY = 85
 INK = (40, 44, 52)
 
 
-def draw_successes(pool: str, number: int, **options: Any) -> list[np.ndarray]:
-    """The first scenes of seed 0 that stand, drawn."""
+def find_successes(pool: str, number: int, **options: Any) -> list[cg.Scene]:
+    """The first scenes of seed 0 that stand."""
     sample = cg.make_sampler(pool=pool, support=SUPPORT, num_objects=NUM_OBJECTS, **options)
     keys = jax.random.split(jax.random.key(0), TRIED)
     scenes = jax.device_get(jax.jit(jax.vmap(sample))(keys))
-    images = []
-    for index in np.flatnonzero(scenes.is_success)[:number]:
-        scene = sample.scene(scenes, int(index))
-        width, height = CELL
-        images.append(
-            render_scene(
-                scene.objects, scene.poses, scene.support, width=width, height=height, samples=48
-            )
-        )
-    return images
+    indices = np.flatnonzero(scenes.is_success)[:number]
+    return [sample.scene(scenes, int(index)) for index in indices]
+
+
+def draw(scene: cg.Scene) -> np.ndarray:
+    """A finished scene, drawn close, from the seat's side."""
+    width, height = CELL
+    return render_scene(
+        scene.objects,
+        scene.poses,
+        scene.support,
+        camera=VIEW,
+        close=True,
+        width=width,
+        height=height,
+        samples=48,
+    )
 
 
 def titled_sheet(
-    rows: Sequence[Sequence[np.ndarray]], row_titles: Sequence[str], column_titles: Sequence[str]
+    rows: Sequence[Sequence[cg.Scene]], row_titles: Sequence[str], column_titles: Sequence[str]
 ) -> Image.Image:
-    """Pictures of equal size with a title over each column and, turned, beside each row."""
+    """Pictures of scenes with a title over each column and, turned, beside each row."""
     step_x = CELL[0] + GAP
     step_y = CELL[1] + GAP
     size = EDGE[0] + len(column_titles) * step_x, EDGE[1] + len(rows) * step_y
@@ -58,14 +67,14 @@ def titled_sheet(
     for column, title in enumerate(column_titles):
         middle = EDGE[0] + column * step_x + CELL[0] // 2, EDGE[1] // 2
         ImageDraw.Draw(sheet).text(middle, title, fill=INK, font=font, anchor="mm")
-    for row, (images, title) in enumerate(zip(rows, row_titles, strict=True)):
+    for row, (scenes, title) in enumerate(zip(rows, row_titles, strict=True)):
         strip = Image.new("RGB", (CELL[1], EDGE[0]), (255, 255, 255))
         middle = CELL[1] // 2, EDGE[0] // 2
         ImageDraw.Draw(strip).text(middle, title, fill=INK, font=font, anchor="mm")
         sheet.paste(strip.rotate(90, expand=True), (0, EDGE[1] + row * step_y))
-        for column, image in enumerate(images):
+        for column, scene in enumerate(scenes):
             place = EDGE[0] + column * step_x, EDGE[1] + row * step_y
-            sheet.paste(Image.fromarray(image), place)
+            sheet.paste(Image.fromarray(draw(scene)), place)
     return sheet
 
 
@@ -78,16 +87,16 @@ def save_jpeg(sheet: Image.Image, path: Path) -> None:
 def main() -> None:
     """Draws both."""
     crowds = [
-        [image for crowd in CROWDS for image in draw_successes(pool, 1, crowd=crowd)]
+        [scene for crowd in CROWDS for scene in find_successes(pool, 1, crowd=crowd)]
         for pool in POOLS
     ]
     columns = [f"crowd {crowd:g}" for crowd in CROWDS]
     save_jpeg(titled_sheet(crowds, POOLS, columns), HERE / "crowds.jpg")
     natural = [
         [
-            image
+            scene
             for is_natural in (False, True)
-            for image in draw_successes(pool, 2, natural=is_natural)
+            for scene in find_successes(pool, 2, natural=is_natural)
         ]
         for pool in POOLS
     ]
