@@ -94,8 +94,9 @@ def render(
         corner is, as in OpenGL and in the renderer of bop_toolkit.
       size: of pictures, WIDTHxHEIGHT in pixels; 1280x960, and 640x480 for films and bop, if not given. In
         Python also a pair.
-      view: from which side the scene is seen; if not given, the defaults of `CameraView`, or of a bank with
-        relations of left, right, front and back the side that they are meant from.
+      view: from which side the scene is seen; if not given, the defaults of `CameraView`; of a bank with
+        relations of left, right, front and back the side that they are meant from; of open doors the place
+        before them that sees most of the objects.
       whole: show the whole support instead of the objects and the region alone.
       hulls: draw the collision parts instead of the surfaces.
       doors: "open" shows scenes that close doors with these open; what is in drawers is seen with them.

@@ -26,6 +26,8 @@ class Attempt:
       poses: f32[K, 7] and is_placed: bool[K], the scene before the attempt.
       settled: f32[K, 7], the scene's poses when the attempt ended, committed or not.
       proposals: f32[N, 4], actions that the method draws here, where they were asked for.
+      gathered: f32[K, 7], the scene's poses once physics drew all objects together after this attempt
+        (`SceneSpec.crowd`), of which the way there is not recorded; None where it did not.
     """
 
     object_index: int
@@ -37,6 +39,7 @@ class Attempt:
     is_placed: np.ndarray
     settled: np.ndarray
     proposals: np.ndarray | None = None
+    gathered: np.ndarray | None = None
 
     @staticmethod
     def of(
@@ -64,6 +67,17 @@ class Attempt:
     def num_steps(self) -> int:
         """T."""
         return len(self.trajectory) - 1
+
+    def poses_gathering(self, share: float) -> np.ndarray:
+        """f64[K, 7]: `share`, in [0, 1], of the straight way from `settled` to `gathered`, for the eye."""
+        assert self.gathered is not None
+        start = self.settled.astype(np.float64)
+        end = self.gathered.astype(np.float64)
+        # A quaternion and its negative are the same orientation.
+        end[:, 3:] *= np.where((start[:, 3:] * end[:, 3:]).sum(1, keepdims=True) < 0, -1.0, 1.0)
+        poses = (1 - share) * start + share * end
+        poses[:, 3:] /= np.maximum(np.linalg.norm(poses[:, 3:], axis=1, keepdims=True), 1e-9)
+        return poses
 
 
 @dataclass(frozen=True, eq=False)

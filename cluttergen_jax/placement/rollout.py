@@ -6,7 +6,7 @@ A `EpisodeRecorder` makes single ones once more, every attempt kept: the same ke
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any, ClassVar, TypeVar
 
@@ -470,9 +470,10 @@ class EpisodeRecorder:
         shown = track(steps, "proposals", len(steps), "attempt") if num_proposals else steps
         attempts = []
         # A pile has no attempts that could be shown one after another.
-        for before, _, transition in () if self.sampler.is_whole else shown:
+        for before, later, transition in () if self.sampler.is_whole else shown:
             proposals = self._proposals(before, seed, num_proposals)
-            attempts.append(Attempt.of(before, transition, transition.settling, proposals))
+            attempt = Attempt.of(before, transition, transition.settling, proposals)
+            attempts.append(replace(attempt, gathered=self._gathered(attempt, later)))
         return Replay(
             title=title or f"seed {seed}, scene {index}",
             objects=self.world.objects,
@@ -489,6 +490,13 @@ class EpisodeRecorder:
             timestep=self.sampler.rules.physics.config.timestep,
             seat=seat_of(self.sampler.rules.config),
         )
+
+    def _gathered(self, attempt: Attempt, after: Any) -> np.ndarray | None:
+        """f32[K, 7]: see `Attempt.gathered`."""
+        if not self.sampler.rules.is_crowded or not attempt.is_stable:
+            return None
+        poses = np.where(np.asarray(after.is_placed)[:, None], after.poses, attempt.settled)
+        return None if np.array_equal(poses, attempt.settled) else poses
 
     def _proposals(self, before: Any, seed: int, number: int) -> np.ndarray | None:
         """f32[number, 4] drawn for an episode; None for none."""

@@ -32,10 +32,13 @@ from cluttergen_jax.rendering.scene_renderer import (
     open_scene_renderer,
     turntable_points,
 )
+from cluttergen_jax.rendering.seat_mark import seat_mark
 from cluttergen_jax.rendering.sheet import with_caption
 from cluttergen_jax.sensing.camera import Camera
 
 _TINT = 0.72
+_GATHER = "gather"
+_GATHERED = "physics draws all together (straight paths: the real ones are not recorded)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,13 +54,19 @@ class FilmFrame:
 def _segments(attempt: Attempt, timestep: float, config: FilmConfig) -> dict[str, float]:
     """The stretches of an attempt by kind, and how long they last, in seconds."""
     begin = {"approach": 0.3, "settle": config.slowdown * attempt.num_steps * timestep}
-    return begin | ({"rest": 0.15} if attempt.is_stable else {"shown": 0.3, "fade": 0.35})
+    if not attempt.is_stable:
+        return begin | {"shown": 0.3, "fade": 0.35}
+    end = {"rest": 0.15}
+    return (
+        begin | end | ({} if attempt.gathered is None else {_GATHER: 1.2, f"rest {_GATHER}": 0.3})
+    )
 
 
 def replay_frames(recording: Replay, config: FilmConfig | None = None) -> list[FilmFrame]:
     """The placement as it happened: each attempt in turn, failed ones turning red and fading away.
 
-    From release to the attempt's end the frames show the simulator's own trajectory.
+    From release to the attempt's end the frames show the simulator's own trajectory. Objects that are drawn
+    together afterwards glide straight to where that left them, as the caption says.
 
     Raises:
       ConfigError: the recording's attempts are not known.
@@ -100,6 +109,15 @@ def _frame(
     recording: Replay, place: int, kind: str, progress: float, config: FilmConfig
 ) -> FilmFrame:
     attempt = recording.attempts[place]
+    if kind.endswith(_GATHER):
+        share = progress * progress * (3 - 2 * progress) if kind == _GATHER else 1.0
+        is_there = attempt.is_placed.copy()
+        is_there[attempt.object_index] = True
+        return FilmFrame(
+            _standing(recording, attempt.poses_gathering(share), is_there),
+            (),
+            *((_GATHERED, None) if config.captions else ("", None)),
+        )
     styles = list(_standing(recording, attempt.poses, attempt.is_placed))
     row = {"approach": 0, "settle": round(progress * attempt.num_steps)}.get(
         kind, attempt.num_steps
@@ -162,6 +180,7 @@ def replay(
     picture = _with_size_of(picture or PictureConfig(samples=8), camera)
     frames = replay_frames(recording, config)
     points = _end_points(recording)
+    mark = seat_mark(recording.region, recording.support, recording.seat)
     with open_scene_renderer(recording.objects, recording.support, points, picture) as renderer:
         renderer.camera = camera or renderer.camera
         image = None
@@ -170,7 +189,9 @@ def replay(
             # The end stands still: it is drawn once.
             if image is None or frame is not shown:
                 image = with_caption(
-                    renderer.picture(frame.styles, frame.trails), frame.caption, frame.dot
+                    renderer.picture(frame.styles, (*frame.trails, *mark)),
+                    frame.caption,
+                    frame.dot,
                 )
                 shown = frame
             yield image
@@ -192,6 +213,7 @@ def turntable(
     count = max(2, round(config.fps * config.seconds))
     styles = _standing(recording, recording.poses, recording.is_placed)
     points = _end_points(recording)
+    mark = seat_mark(recording.region, recording.support, recording.seat)
     with open_scene_renderer(recording.objects, recording.support, points, picture) as renderer:
         around = turntable_points(renderer.content if picture.whole else points)
         for number in range(count):
@@ -201,7 +223,7 @@ def turntable(
             else:
                 renderer.camera = _rotate_about(camera, recording.region.center, math.radians(turn))
             # The lights go with the camera: it is the table that turns.
-            yield renderer.picture(styles, light_yaw=math.radians(turn))
+            yield renderer.picture(styles, mark, light_yaw=math.radians(turn))
 
 
 def _with_size_of(picture: PictureConfig, camera: Camera | None) -> PictureConfig:

@@ -1,5 +1,7 @@
 """Films, figures and overlays: what is shown when, and that files hold what was put in."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -44,6 +46,25 @@ def test_replay_shows_the_trajectory_and_only_what_stood():
         assert (style.alpha, style.strength) == (1.0, 0.0)
     assert last.caption == "2 objects, 4 attempts: the scene stands"
     assert any("fell below" in f.caption for f in frames)
+
+
+def test_replay_leads_from_where_objects_were_placed_to_where_a_crowd_left_them():
+    recording = cubes()
+    *before, last = recording.attempts
+    gathered = recording.poses.copy()
+    gathered[0, :2] += 0.05
+    # A quarter turn, and the quaternion's other sign: nothing may vanish on the way.
+    gathered[1, 3:] = [-np.sqrt(0.5), 0.0, 0.0, -np.sqrt(0.5)]
+    attempts = (*before, replace(last, gathered=gathered))
+    recording = replace(recording, attempts=attempts, poses=gathered)
+    frames = [each for each in replay_frames(recording) if "draws all together" in each.caption]
+    poses = np.array([[style.pose for style in frame.styles] for frame in frames])
+    assert len(frames) > 10
+    assert np.abs(np.diff(poses, axis=0)).max() < 0.1
+    np.testing.assert_allclose(np.linalg.norm(poses[..., 3:], axis=-1), 1.0)
+    np.testing.assert_allclose(poses[0, 0], last.settled[0], atol=0.002)
+    np.testing.assert_allclose(poses[-1, 0], gathered[0], atol=1e-6)
+    np.testing.assert_allclose(poses[-1, 1, 3:], -gathered[1, 3:], atol=1e-6)
 
 
 @needs_gl

@@ -14,7 +14,7 @@ import numpy as np
 
 from cluttergen_jax.assets import ObjectAsset
 from cluttergen_jax.assets.cloud import ply_of, scene_points
-from cluttergen_jax.assets.doors import with_doors_open
+from cluttergen_jax.assets.doors import are_to_be_closed, with_doors_open
 from cluttergen_jax.config import DoorState
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
 from cluttergen_jax.files import write_atomically
@@ -35,6 +35,7 @@ from cluttergen_jax.sensing.camera import REALSENSE_SIZE, Camera, CameraPlan
 from cluttergen_jax.views import ViewMaker
 from cluttergen_jax.views.bop import BopConfig, BopScenes
 from cluttergen_jax.views.images import camera_json, depth_png, npz_of, segmentation_png
+from cluttergen_jax.views.inside import inside_camera
 from cluttergen_jax.views.maker import SeenScene
 
 _DRAWN = frozenset({"picture", "sheet", "turntable", "replay", "figure", "density"})
@@ -209,7 +210,9 @@ class Rendering:
         dataset = work.dataset
         cameras: dict[str, Camera | None] = {
             f"-{plan.name}": self._camera(plan, recording, number) for plan in self.cameras
-        } or {"": None}
+        }
+        films = cameras or {"": None}
+        cameras = cameras or {"": self._own_camera(recording, large)}
         for ending, camera in cameras.items() if work.singles else ():
             yield f"{ending}.png", partial(self._write_picture, work, recording, camera)
         if self._makes("figure") and has_attempts:
@@ -236,14 +239,21 @@ class Rendering:
             yield "-bop", lambda path: dataset.add(_seen_scene(recording, number))
         if self._makes("points"):
             yield "-points.ply", lambda path: [_write(path, _cloud(recording))]
-        for ending, camera in cameras.items() if self._makes("turntable") else ():
+        for ending, camera in films.items() if self._makes("turntable") else ():
             count = max(2, round(self.pace.fps * self.pace.seconds))
             turns = turntable(recording, self.pace, small, camera)
             yield f"{ending}-turntable.{self.film}", partial(self._write_film, turns, count)
-        for ending, camera in cameras.items() if self._makes("replay") and has_attempts else ():
+        for ending, camera in films.items() if self._makes("replay") and has_attempts else ():
             steps = replay(recording, self.pace, small, camera)
             length = len(replay_frames(recording, self.pace))
             yield f"{ending}-replay.{self.film}", partial(self._write_film, steps, length)
+
+    def _own_camera(self, recording: Replay, picture: PictureConfig) -> Camera | None:
+        """Where it is not said from where a scene is seen; None for the picture's view."""
+        if self.has_view or not are_to_be_closed(recording.support):
+            return None
+        poses = recording.poses[recording.placed]
+        return inside_camera(_placed_objects(recording), poses, recording.support, picture)
 
     def _camera(self, plan: CameraPlan, recording: Replay, number: int) -> Camera:
         """Where a camera is for a scene, drawn for its number."""
@@ -287,7 +297,8 @@ class Rendering:
         with ViewMaker(picture) as maker:
             for place, each in enumerate(track(recordings, title, len(recordings), "picture")):
                 coming = recordings[place + 1 : place + 1 + _AHEAD]
-                images.append(_draw(maker, each, None, partial(_objects_of, coming)))
+                camera = self._own_camera(each, picture)
+                images.append(_draw(maker, each, camera, partial(_objects_of, coming)))
         captions = [
             f"{number:06d}" + ("" if recording.is_success else f" (failed: {recording.verdict})")
             for number, recording in zip(numbers, recordings, strict=True)

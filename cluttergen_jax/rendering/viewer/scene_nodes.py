@@ -102,8 +102,8 @@ class SceneNodes:
         """The scene at attempt `number`, from 1; 0 is the beginning.
 
         Args:
-          progress: how far the attempt has come, in [0, 1]; None is the attempt's end, and at the last
-            attempt the finished scene.
+          progress: how far the attempt has come, in [0, 1], and from there to 2 how far objects are that are
+            drawn together after it; None is the end of both, and at the last attempt the finished scene.
         """
         recording = self.recording
         if recording is None:
@@ -148,8 +148,10 @@ class SceneNodes:
         poses = attempt.poses.copy()
         is_placed = attempt.is_placed.copy()
         if attempt.is_stable:
-            poses = attempt.settled.copy() if progress is None else poses
             is_placed[attempt.object_index] = True
+            if attempt.gathered is not None and (progress is None or progress > 1):
+                return attempt.poses_gathering(1.0 if progress is None else progress - 1), is_placed
+            poses = attempt.settled.copy() if progress is None else poses
             if progress is not None:
                 poses[attempt.object_index] = _pose_at(attempt, progress)
         return poses, is_placed

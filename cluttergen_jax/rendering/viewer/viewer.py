@@ -162,16 +162,22 @@ class Session:
         self._playing.set()
         self._play.label = "Stop"
         recording = self.recording
-        last = len(recording.attempts) if recording else 0
+        attempts = recording.attempts if recording else ()
+        last = len(attempts)
         start = int(self._slider.value)
         num_frames = round(_SECONDS_PER_ATTEMPT * _FRAMES_PER_SECOND)
         numbers = range(1 if start >= last else start + 1, last + 1)
-        for number, frame in itertools.product(numbers, range(num_frames)):
+        frames = [
+            (number, frame)
+            for number in numbers
+            for frame in range(num_frames * (1 if attempts[number - 1].gathered is None else 2))
+        ]
+        for number, frame in frames:
             if not self._playing.is_set() or self.recording is not recording:
                 break
             if frame == 0:
                 self._slider.value = number
-            self.nodes.at(number, frame / (num_frames - 1))
+            self.nodes.at(number, min(frame / (num_frames - 1), 2.0))
             time.sleep(1 / _FRAMES_PER_SECOND)
         if self.recording is recording:
             self._redraw()

@@ -53,6 +53,7 @@ def attempt_words(recording: Replay, number: int) -> str:
     end = f"failed, {attempt.verdict.label}: {attempt.verdict.sentence} ({attempt.num_steps} steps)"
     if attempt.is_stable:
         end = f"stable after {attempt.num_steps} steps"
+        end += "" if attempt.gathered is None else "; then all were drawn together"
     return "\n\n".join([*lines, end])
 
 

@@ -255,6 +255,7 @@ def _recipe_section(recipe: Recipe, bits: list[Bits]) -> str:
             f"{name} asked for": placement[name]
             for name in (
                 "clutter",
+                "crowd",
                 "natural",
                 "sense",
                 "seat",

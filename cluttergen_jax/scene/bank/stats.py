@@ -14,9 +14,11 @@ import pyarrow.compute as pc
 
 from cluttergen_jax.assets.hollow import hollow_of
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.geometry import rotation_matrix
 from cluttergen_jax.placement.arranged import count_arranged
 from cluttergen_jax.placement.arrangements import parse_arrangements
-from cluttergen_jax.placement.clutter import NAMES, Clutter
+from cluttergen_jax.placement.clutter import CROWDED, NAMES, Clutter
+from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.progress import time_text
 from cluttergen_jax.scene.bank.bank import Bank
@@ -39,10 +41,12 @@ _WORDS = {
     "occlusion": "share hidden, mean",
     "side": "pairs that touch from the side, for each object",
     "lean": "share of the objects that lean",
+    "height": "metres from the support to the highest point",
     "row": "objects in rows",
     "stacked": "objects upon their like",
     "nest": "objects nested in their like",
 }
+_HEIGHT = "height"
 _ARRANGED = ("row", "stacked", "nest")
 
 
@@ -148,10 +152,10 @@ class FeatureStats:
     """One feature of clutter over the scenes of a bank that stand.
 
     Attributes:
-      name: as in `placement.clutter.Clutter`.
+      name: as in `placement.clutter.Clutter`; or what arrangements count, or "height".
       got: mean over the scenes.
       asked: the target; None where nothing was asked.
-      within: share of the scenes within 10 % of the target; None likewise.
+      within: share of the scenes within 10 % of the target, or at or above it for `CROWDED`; None likewise.
     """
 
     name: str
@@ -164,7 +168,8 @@ class FeatureStats:
         text = f"{self.name} {self.got:.3g} ({_WORDS[self.name]})"
         if self.asked is None or self.within is None:
             return text
-        return f"{text}, asked for {self.asked:g}: {self.within:.1%} of the scenes are within 10 %"
+        reach = "reach it" if self.name in CROWDED else "are within 10 %"
+        return f"{text}, asked for {self.asked:g}: {self.within:.1%} of the scenes {reach}"
 
 
 class ClutterTally:
@@ -177,16 +182,18 @@ class ClutterTally:
     def __init__(self, bank: Bank) -> None:
         self._arranged = _arrangement_targets(bank)
         self._targets = _targets(bank) | self._arranged
-        self._names = (*NAMES, *(name for name in _ARRANGED if name in self._arranged))
+        self._names = (*NAMES, _HEIGHT, *(name for name in _ARRANGED if name in self._arranged))
         self._number = dict.fromkeys(self._names, 0)
         self._sum = dict.fromkeys(self._names, 0.0)
         self._num_near = dict.fromkeys(self._names, 0)
+        self._bank = bank
         self._asset = lru_cache(maxsize=None)(bank.object)
 
     def add(self, rows: pa.Table) -> None:
         """Counts some more rows."""
         rows = rows.filter(rows["is_success"])
         found = {name: _values(rows, name) for name in NAMES}
+        found[_HEIGHT] = self._heights(rows.filter(pc.is_valid(rows["num_beside"])))
         if self._arranged:
             found |= self._count_arranged(rows)
         for name in self._names:
@@ -194,9 +201,19 @@ class ClutterTally:
             self._number[name] += len(values)
             self._sum[name] += float(values.sum())
             if (asked := self._targets.get(name)) is not None:
-                self._num_near[name] += int(
-                    (np.abs(values - asked) <= _NEAR_ENOUGH * asked + 1e-6).sum()
-                )
+                away = asked - values if name in CROWDED else np.abs(values - asked)
+                slack = 0.0 if name in CROWDED else _NEAR_ENOUGH * asked
+                self._num_near[name] += int((away <= slack + 1e-6).sum())
+
+    def _heights(self, rows: pa.Table) -> np.ndarray:
+        """f64[N]: metres from the support to the highest point of the objects' boxes in each scene."""
+        heights = []
+        for row in rows_of(rows):
+            half = np.array([self._asset(base_name(name)).half_extents for name in row.objects])
+            upward = [rotation_matrix(pose[3:])[2] for pose in row.poses.astype(np.float64)]
+            tops = row.poses[:, 2] + (np.abs(upward) * half).sum(1)
+            heights.append(tops.max() - self._bank.support.top)
+        return np.array(heights)
 
     def _count_arranged(self, rows: pa.Table) -> dict[str, np.ndarray]:
         """f64[N] by name: how many objects of each scene are in rows, stacks and nests."""
@@ -239,9 +256,15 @@ def _values(rows: pa.Table, name: str) -> np.ndarray:
 
 def _targets(bank: Bank) -> dict[str, float]:
     try:
-        asked = bank.recipe.get("placement", {}).get("clutter")
-        return Clutter.of(asked).targets if asked else {}
-    except (AttributeError, ConfigError) as error:
+        placement = bank.recipe.get("placement", {})
+        asked = placement.get("clutter")
+        targets = Clutter.of(asked).targets if asked else {}
+        if crowd := placement.get("crowd"):
+            of_crowd = PlacementConfig(num_objects=placement["num_objects"], crowd=crowd)
+            pairs = zip(CROWDED, of_crowd.crowd_targets or (), strict=True)
+            targets |= {name: value for name, value in pairs if value}
+        return targets
+    except (AttributeError, ConfigError, KeyError, TypeError) as error:
         raise record_error(bank.path, error) from error
 
 
