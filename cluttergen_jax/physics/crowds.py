@@ -16,6 +16,7 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from cluttergen_jax.geometry import rotate, rotate_in_plane
+from cluttergen_jax.physics.outlines import gaps_in_plan, moved_together, reaches_of_boxes
 from cluttergen_jax.physics.resting import RestRounds, Stage, reach_of
 from cluttergen_jax.types import Verdict
 
@@ -42,7 +43,7 @@ class Pull(NamedTuple):
     most_steps: int
 
 
-TOGETHER = Pull(2.0, height=0.0, drag=8.0, turning_drag=4.0, time_share=2.0, most_steps=144)
+TOGETHER = Pull(2.0, height=0.0, drag=8.0, turning_drag=4.0, time_share=2.0, most_steps=60)
 """Without friction, of which each step costs half."""
 PRESS = Pull(1.2, height=0.0, drag=30.0, turning_drag=30.0, time_share=1.0, most_steps=36)
 """Likewise, all steps: overlaps become micrometres, and what touches goes on touching."""
@@ -60,9 +61,8 @@ _STRIDE = 12
 _RELAX_STEPS = 36
 _RELAX_DRAG = 10.0
 
-# How far objects are moved towards the middle of their group at once, where nothing is in the way: shares of
-# their distance from it, the first that fits. Metres by which something may overlap the support more.
-_NEARER = (0.5, 0.65, 0.8)
+# Moves towards the middle of a group, without simulating. Metres by which something may overlap more then.
+_MOVES = 12
 _DEEPER = 0.0001
 # Where an object is put back: metres from where it was placed, and radians from straight outwards.
 _OUTWARD = (0.0, 0.04, 0.08, 0.12, 0.16, 0.2)
@@ -71,10 +71,13 @@ _TURNS = (0.0, math.pi / 4, -math.pi / 4)
 # Rounds of rest after which what still moves is left out.
 _MAX_ROUNDS = 2
 
-# Metres from the middle of a group at which the force upon an object begins to fade.
+# Metres from the middle of a group at which the force upon an object begins to fade, and from a box to keep
+# out of at which it begins to turn round.
 _NEAR = 0.02
-# Objects of a group, about.
+_NEAR_BOX = 0.03
+# Objects of a group where each shall touch another; fewer where fewer shall; and never fewer than that.
 _GROUP = 10
+_MIN_GROUP = 4
 _ROUNDS = 4
 
 LEANS = math.radians(5)
@@ -92,6 +95,7 @@ class CrowdRequest(NamedTuple):
       region: f32[n, 9], its world pose and its half extents.
       half_extents: f32[n, K, 3], of the objects' boxes, metres.
       whole: f32[n], 1 where a box must lie in the region whole, 0 where its centre must.
+      keep_out: f32[n, B, 5], boxes that nothing may come to lie in, in plan: centre, half extents, yaw.
       margin: f32[n, K], metres, the support margin that is asked of each object.
       side: f32[n], pairs that are to touch from the side, for each object.
       lean: f32[n], share of the objects that are to lean.
@@ -105,6 +109,7 @@ class CrowdRequest(NamedTuple):
     region: np.ndarray
     half_extents: np.ndarray
     whole: np.ndarray
+    keep_out: np.ndarray
     margin: np.ndarray
     side: np.ndarray
     lean: np.ndarray
@@ -124,6 +129,9 @@ class Crowder(RestRounds):
         region = asked.region, asked.half_extents, asked.whole
         super().__init__(engine, asked.is_placed.copy(), *region)
         self.asked = asked
+        keep_out = asked.keep_out.astype(np.float64)
+        self._box_places = keep_out[..., :2]
+        self._box_reaches = reaches_of_boxes(keep_out[..., 2:4], keep_out[..., 4])
         self.max_rounds = _MAX_ROUNDS
         self._tries = np.zeros(len(asked.side), int)
 
@@ -145,8 +153,7 @@ class Crowder(RestRounds):
         ids = np.arange(len(rows))
         is_member = self.is_member[rows]
         middles = self._middles(rows)
-        for row, middle in zip(rows, middles, strict=True):
-            self._bring_near(row, middle)
+        self._bring_near(rows, middles)
         sims.release(self.poses[rows], is_member, never_sleeps=is_member)
         turning_drag = _NO_TURN if self.asked.is_kept.any() else TOGETHER.turning_drag
         with sims.no_friction(TOGETHER.drag, turning_drag, TOGETHER.time_share):
@@ -173,28 +180,46 @@ class Crowder(RestRounds):
         enough = self.asked.side[row] * self.is_member[row].sum()
         return not self.asked.lean[row] and self.num_beside(row, self.poses[row]) >= enough
 
-    def _bring_near(self, row: int, middle: np.ndarray) -> None:
-        """Moves objects as they stand to the middles of their groups, f64[K, 2], as far as there is room."""
-        start = self.poses[row]
-        is_member = self.is_member[row]
-        depths = self.engine.probe.depths(start, is_member)
-        if depths is None:
-            return
-        # What touches is moved together.
-        _, group = connected_components(depths[:-1, :-1] > 0, directed=False)
-        together = np.array([group == each for each in group]) & is_member
-        number = np.maximum(together.sum(1, keepdims=True), 1)
-        away = (together @ middle - together @ start[:, :2]) / number
-        for share in _NEARER:
-            moved = start.copy()
-            moved[:, :2] += np.where(is_member[:, None], (1 - share) * away, 0.0)
-            after = self.engine.probe.depths(moved, is_member)
-            if after is None:
+    def _bring_near(self, rows: np.ndarray, middles: np.ndarray) -> None:
+        """Moves objects as they stand towards the middles of their groups, f64[m, K, 2], where there is room.
+
+        What touches, or stands below a rim, is moved together.
+        """
+        probe = self.engine.probe
+        start = self.poses[rows]
+        is_member = self.is_member[rows]
+        reaches = self.engine.outlines.reaches(start)
+        places = start[..., :2]
+        is_same = gaps_in_plan(places, reaches, places, reaches)[0] <= 0
+        is_same &= is_member[:, None] & is_member[..., None]
+        for each, pairs in enumerate(is_same):
+            _, group = connected_components(pairs, directed=False)
+            is_same[each] = group[:, None] == group
+        moved = start.copy()
+        moved[..., :2] = moved_together(
+            places, reaches, is_same, is_member, middles, self._boxes(rows), _MOVES
+        )
+        for row, before, after, there in zip(rows, start, moved, is_member, strict=True):
+            depths = probe.depths(before, there)
+            if depths is None:
                 continue
-            hits = (after[:-1, :-1] > 0) & (group[:, None] != group)
-            if not hits.any() and (after[:-1, -1] <= depths[:-1, -1] + _DEEPER).all():
-                self.poses[row] = moved
-                return
+            deepest = depths + _DEEPER
+            depths = probe.depths(after, there)
+            if depths is not None and (depths <= deepest).all():
+                self.poses[row] = after
+
+    def _boxes(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where the boxes to keep out of are, f64[m, B, 2], and how far they reach, f64[m, B, D]."""
+        return self._box_places[rows], self._box_reaches[rows]
+
+    def _from_boxes(self, rows: np.ndarray, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Gaps in plan from objects at f64[m, K, 7] to the nearest box, f64[m, K], and directions to it."""
+        places, reaches = self._boxes(rows)
+        own = self.engine.outlines.reaches(poses)
+        gaps, towards = gaps_in_plan(poses[..., :2], own, places, reaches)
+        nearest = gaps.argmin(-1)[..., None]
+        towards = np.take_along_axis(towards, nearest[..., None], axis=2)[:, :, 0]
+        return np.take_along_axis(gaps, nearest, axis=2)[..., 0], towards
 
     def _stand_again(self, row: int, middle: np.ndarray) -> None:
         """Puts what tipped over, is held too little, or climbed where it may not, back where it was placed.
@@ -208,6 +233,8 @@ class Crowder(RestRounds):
         members = np.flatnonzero(self.is_member[row])
         margins = self.engine.probe.margins(members)
         is_bad[members[margins < self.asked.margin[row, members]]] = True
+        if self._box_places.size:
+            is_bad |= self._from_boxes(np.array([row]), poses[None])[0][0] < 0
         for index in np.flatnonzero(is_bad):
             placed = self.asked.poses[row, index].astype(np.float64)
             outward = placed[:2] - middle[index]
@@ -244,17 +271,18 @@ class Crowder(RestRounds):
         place = self.asked.poses[rows, :, :2].astype(np.float64)
         draws = self.asked.draws[rows, self._tries[rows]]
         middles = np.zeros_like(place)
-        for row, is_member in enumerate(self.is_member[rows]):
+        for each, is_member in enumerate(self.is_member[rows]):
             members = np.flatnonzero(is_member)
-            own = place[row, members]
-            number = max(1, round(len(members) / _GROUP))
-            middle = own[np.argsort(-draws[row, members])[:number]]
+            own = place[each, members]
+            size = max(_MIN_GROUP, _GROUP * self.asked.side[rows[each]])
+            number = max(1, round(len(members) / size))
+            middle = own[np.argsort(-draws[each, members])[:number]]
             group = np.zeros(len(members), int)
             for _ in range(_ROUNDS):
                 group = np.linalg.norm(own[:, None] - middle, axis=-1).argmin(1)
-                for each in np.unique(group):
-                    middle[each] = own[group == each].mean(0)
-            middles[row, members] = middle[group]
+                for number in np.unique(group):
+                    middle[number] = own[group == number].mean(0)
+            middles[each, members] = middle[group]
         return middles
 
     def _pull(
@@ -278,6 +306,8 @@ class Crowder(RestRounds):
             distance = np.linalg.norm(away, axis=-1, keepdims=True)
             strength = how.strength / (self._tries[rows[ids], None, None] + 1)
             pull = strength * away / np.maximum(distance, _NEAR)
+            if self._box_places.size:
+                pull = _turned_from(*self._from_boxes(rows[ids], poses), pull, strength)
             pull = np.where(self.is_member[rows[ids], :, None], pull, 0.0)
             lever = how.height * reach_of(poses[..., 3:], self.half_extents[rows[ids]])[..., 2]
             sims.push(ids, np.concatenate([pull, np.zeros_like(pull[..., :1])], axis=-1), lever)
@@ -350,3 +380,16 @@ class Crowder(RestRounds):
             self.result.margin[row, members] = self.engine.probe.margins(members)
         is_leaning = self._tilts(np.arange(len(self.poses)), self.poses) > LEANS
         self.result.num_leaning[:] = is_leaning.sum(1)
+
+
+def _turned_from(
+    gap: np.ndarray, towards: np.ndarray, pull: np.ndarray, strength: np.ndarray
+) -> np.ndarray:
+    """Pulls, f64[m, K, 2], of which what draws objects nearer to a box near them is turned round."""
+    along = (pull * towards).sum(-1, keepdims=True)
+    pushed = (
+        pull
+        - np.maximum(along, 0.0) * towards
+        - strength * (1 - gap / _NEAR_BOX)[..., None] * towards
+    )
+    return np.where((gap < _NEAR_BOX)[..., None], pushed, pull)

@@ -36,6 +36,8 @@ def ask(rules: Rules, episode: Episode, is_due: Array) -> tuple[Array, ...]:
     side, lean = targets
     num_objects = rules.geometry.num_objects
     key = rules.new_key(episode, 7)
+    keep_out = episode.keep_out
+    boxes = (keep_out.center, keep_out.half_extents, keep_out.yaw[:, None])
     return (
         episode.poses,
         episode.is_placed,
@@ -43,6 +45,7 @@ def ask(rules: Rules, episode: Episode, is_due: Array) -> tuple[Array, ...]:
         jnp.append(to_pose(episode.region.T_world_region), episode.region.half_extents),
         rules.geometry.half_extents,
         jnp.float32(rules.config.containment == "footprint"),
+        jnp.concatenate(boxes, axis=1),
         rules.asked_margins(episode.poses),
         jnp.float32(side),
         jnp.float32(lean),
