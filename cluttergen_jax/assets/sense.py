@@ -286,7 +286,8 @@ def read_sense(path: str | Path = "") -> SceneSense:
     try:
         data = read_written(file)
     except (OSError, SchemaError) as error:
-        raise ConfigError(f"sense = {str(path)!r}: {error}", "a YAML file", _HINT) from error
+        reason = getattr(error, "strerror", None) or error
+        raise ConfigError(f"sense = {str(path)!r}: {reason}", "a YAML file", _HINT) from error
     return _parse_sense(data, str(file))
 
 
@@ -297,7 +298,11 @@ _HINT = "a copy of cluttergen_jax/assets/scene_sense.yaml, changed"
 def _parse_sense(data: bytes, file: str) -> SceneSense:
     where = f"sense {file}"
     try:
-        content = convert(parse_yaml(data), _File)
+        raw = parse_yaml(data)
+        if not isinstance(raw, dict):
+            given = f"{where}: it is no mapping of names to values"
+            raise ConfigError(given, "format, kinds, groups, themes, ignore", _HINT)
+        content = convert(raw, _File)
     except SchemaError as error:
         fields = ", ".join(each.encode_name for each in msgspec.structs.fields(ThingKind))
         raise ConfigError(f"{where}: {error}", f"of each kind {fields}", _HINT) from error

@@ -13,7 +13,7 @@ from cluttergen_jax.assets.facts import ObjectFacts, parse_condition
 from cluttergen_jax.assets.hollow import hollow_of
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.sense import read_sense
-from cluttergen_jax.errors import ConfigError, first_names
+from cluttergen_jax.errors import ConfigError, closest, first_names
 from cluttergen_jax.geometry import rotation_matrix
 from cluttergen_jax.physics.margin import support_margin
 from cluttergen_jax.placement.arrangements import NEST, ROW, STACK, parse_arrangements
@@ -106,12 +106,19 @@ def able_objects(
       sense: the file of the table of sense, by which some things carry nothing; the package's if empty.
 
     Raises:
-      ConfigError: none of those that are meant can; it names those and some of the others that can.
+      ConfigError: no object is meant, or none of those that are can; it names some that can.
     """
     able: dict[str, np.ndarray] = {}
     for place, each in enumerate(parse_arrangements(arrangements), 1):
         test = parse_condition(each.condition)
         is_meant = np.array([test(fact) for fact in facts])
+        if not is_meant.any():
+            names = [fact.name for fact in facts]
+            raise ConfigError(
+                f"arrangement {str(each)!r}: {each.condition!r}, which no object is",
+                first_names(list(dict.fromkeys(names)), _MOST_NAMED),
+                meant=closest(each.condition.strip("*?"), names),
+            )
         can = np.array([_can(each.kind, asset) for asset in objects])
         reason = _CANNOT[each.kind]
         if each.kind == "stack":
@@ -119,7 +126,7 @@ def able_objects(
             if (can & is_meant).any():
                 reason = "which carry nothing by the table of sense (`sense`)"
             can &= is_stacked
-        if is_meant.any() and not (can & is_meant).any():
+        if not (can & is_meant).any():
             meant, others = (
                 [fact.name for fact, chosen in zip(facts, which, strict=True) if chosen]
                 for which in (is_meant, can)
