@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -165,11 +164,7 @@ def _check_side_by_side(objects: Sequence[ObjectAsset], config: ProblemConfig, a
     stacked = placement.most_stacked or 0
     number = placement.num_objects
 
-    def covers(fewer: int) -> float:
-        return share_packed(objects, replace(placement, num_objects=fewer), area)[1]
-
-    numbers = range(number - 1, stacked, -1)
-    most = next((each for each in numbers if covers(each) <= USUALLY_PACKED), 0)
+    most = int(USUALLY_PACKED / mean * max(number - stacked, 1)) + stacked
     fewer = f"num_objects={most}, " if most else ""
     raise ConfigError(
         f"{number} objects side by side, whose outlines cover {mean:.1f} times the region in the mean",
