@@ -163,7 +163,6 @@ def _check_side_by_side(objects: Sequence[ObjectAsset], config: ProblemConfig, a
         return
     stacked = placement.most_stacked or 0
     number = placement.num_objects
-
     most = int(USUALLY_PACKED / mean * max(number - stacked, 1)) + stacked
     fewer = f"num_objects={most}, " if most else ""
     raise ConfigError(
