@@ -5,11 +5,21 @@ from collections.abc import Iterable, Sequence
 
 _LONGEST = 2000
 """Letters of a message's first part."""
+_LIKE = 0.65
+"""Share of letters that a misspelt name has in common with the one that is meant: "rwo" and "row" 0.67,
+"colour" and "clutter" 0.62."""
+_BEGINNING = 3
+"""Letters from which the beginning of a name is enough."""
 
 
 def closest(given: object, known: Iterable[str]) -> str:
-    """The known name that is most like a misspelt one; "" if none is."""
-    return next(iter(difflib.get_close_matches(str(given), list(known), n=1)), "")
+    """The known name that is most like a misspelt one, or begins with it; "" if none is."""
+    text = str(given).lower()
+    names = {name.lower(): name for name in known}
+    found = difflib.get_close_matches(text, list(names), n=1, cutoff=_LIKE)
+    if not found and len(text) >= _BEGINNING:
+        found = [name for name in names if name.startswith(text)]
+    return names[found[0]] if found else ""
 
 
 def printable(text: str) -> str:

@@ -200,7 +200,7 @@ class SceneSpec(PlacementRequest):
       natural: place things as people leave them, by a table of what is usually on, in and beside what, and
         how it is turned: its sides along those of the region, or its front to the seat (methods "guided",
         "spread"). What is of no kind in the table may be anywhere, wide and flat things below small ones.
-      sense: your own table for `natural` and `theme`: a YAML file like the package's
+      sense: your own table for `natural`, `theme` and stacks: a YAML file like the package's
         (`cluttergen_jax/assets/scene_sense.yaml`).
       seat: the side of the region at which someone sits, for `natural`: "-y", "+y", "-x" or "+x".
       tidy: keep room instead of spreading objects out: more objects fit, but scenes are less diverse (methods

@@ -56,7 +56,7 @@ class ThingKind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     on_top_of: tuple[str, ...] = ()
     inside: tuple[str, ...] = ()
     beside: tuple[str, ...] = ()
-    carries: Literal["never", "some"] = "some"
+    carries: Literal["never", "alike", "some"] = "some"
     turn: Turn | None = None
     stands: Stands = "any"
     zone: Zone = ""
@@ -153,6 +153,11 @@ class SceneSense:
         """Whether a thing of kind `upper` is usually on, in or beside one of kind `lower`."""
         return lower in self._usual(relation, upper)
 
+    def carries_its_like(self, kind: str) -> bool:
+        """Whether people stack things of a kind; True of what has none."""
+        carries = self.kinds.get(kind, ThingKind()).carries
+        return carries != "never" or any(self.is_usual(how, kind, kind) for how in ("on", "in"))
+
     def members(self, names: Iterable[str]) -> frozenset[str]:
         """The kinds that names of kinds and groups mean."""
         return frozenset().union(*(self.groups.get(name, {name}) for name in names))
@@ -228,7 +233,7 @@ class SceneSense:
             found[relation] = np.array([[lower in its for lower in kinds] for its in usual])
         usual = found["on"] | found["in"]
         never = np.array(
-            [kind in self.kinds and self.kinds[kind].carries == "never" for kind in kinds]
+            [kind in self.kinds and self.kinds[kind].carries != "some" for kind in kinds]
         )
         each = [self.kinds.get(kind, ThingKind()) for kind in kinds]
         shapes = [_plan_of(asset) for asset in objects]
@@ -281,7 +286,8 @@ def read_sense(path: str | Path = "") -> SceneSense:
     try:
         data = read_written(file)
     except (OSError, SchemaError) as error:
-        raise ConfigError(f"sense = {str(path)!r}: {error}", "a YAML file", _HINT) from error
+        reason = getattr(error, "strerror", None) or error
+        raise ConfigError(f"sense = {str(path)!r}: {reason}", "a YAML file", _HINT) from error
     return _parse_sense(data, str(file))
 
 
@@ -292,7 +298,11 @@ _HINT = "a copy of cluttergen_jax/assets/scene_sense.yaml, changed"
 def _parse_sense(data: bytes, file: str) -> SceneSense:
     where = f"sense {file}"
     try:
-        content = convert(parse_yaml(data), _File)
+        raw = parse_yaml(data)
+        if not isinstance(raw, dict):
+            given = f"{where}: it is no mapping of names to values"
+            raise ConfigError(given, "format, kinds, groups, themes, ignore", _HINT)
+        content = convert(raw, _File)
     except SchemaError as error:
         fields = ", ".join(each.encode_name for each in msgspec.structs.fields(ThingKind))
         raise ConfigError(f"{where}: {error}", f"of each kind {fields}", _HINT) from error

@@ -18,7 +18,7 @@ from msgspec import Meta
 
 from cluttergen_jax.assets import ObjectAsset, find_support
 from cluttergen_jax.assets.facts import ObjectFacts, parse_condition
-from cluttergen_jax.assets.pool import Pool, find_pool
+from cluttergen_jax.assets.pool import ALL, Pool, find_pool, list_pools
 from cluttergen_jax.config import Poses
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest, first_names
 from cluttergen_jax.learning.methods import DEFAULT_METHOD
@@ -307,34 +307,108 @@ def check_text(data: bytes, options: Mapping[str, Any], found: Pool | None = Non
     pool = str(options.get("pool", layout.pool))
     try:
         found = found or pool_of(pool, options.get("exclude", ()))
-        facts = found.facts
     except ClutterGenError as error:
-        faults += [*meaning_faults(layout, ()), LayoutFault.of("pool", error)]
-        return LayoutCheck(tuple(faults))
+        faults.append(LayoutFault.of("pool", error))
+        # What else is wrong is seen by the pool that was meant.
+        pool = _pool_meant(pool)
+        found = pool_of(pool) if pool else None
+    facts = () if found is None else found.facts
     faults += [
         *meaning_faults(layout, facts, pool),
-        *_pool_faults(layout, facts, pool),
         *_contradictions(layout),
         *_number_faults(layout, len(facts)),
+        *(_pool_faults(layout, facts, pool) if facts else ()),
     ]
+    support = str(options.get("support", layout.support))
     try:
-        find_support(options.get("support", layout.support))
+        find_support(support)
     except ClutterGenError as error:
         faults.append(LayoutFault.of("support", error))
+        support = error.meant
+    rest = _sound_part(layout, faults)
+    is_told = bool({"", "objects"} & {*map(_field_in, faults)})
+    if found is None or not support or (is_told and _is_empty(rest)):
+        return LayoutCheck(tuple(sorted(faults, key=place_of)))
+    request = {**options, "pool": pool, "support": support}
+    notes: list[str] = []
+    spec = None
+    while spec is None:
+        try:
+            asked = replace(spec_of_layout(rest), **request)
+            notes = _room_notes(asked, rest, found)
+            spec = asked
+        except ClutterGenError as error:
+            fault = LayoutFault.of(_place_of_error(error, rest), error)
+            faults.append(replace(fault, path=_path_before(fault.path, rest, layout)))
+            smaller = _sound_part(rest, [fault])
+            if smaller == rest or _is_empty(smaller):
+                break
+            rest = smaller
     if faults:
         return LayoutCheck(tuple(sorted(faults, key=place_of)))
-    try:
-        spec = replace(spec_of_layout(layout), **options)
-        notes = _room_notes(spec, layout, found)
-    except ClutterGenError as error:
-        return LayoutCheck((LayoutFault.of(_field_of(error, layout), error),))
     return LayoutCheck((), tuple(notes), spec)
+
+
+def _pool_meant(name: str) -> str:
+    """A pool's name with each part as it was probably meant; "" where that is not known."""
+    known = [*list_pools(), ALL]
+    parts = [each if each in known else closest(each, known) for each in name.split("+")]
+    return "+".join(dict.fromkeys(parts)) if all(parts) else ""
+
+
+def _sound_part(layout: LayoutFields, faults: Iterable[LayoutFault]) -> LayoutFields:
+    """A layout without what faults are about, so that the rest can be checked."""
+    paths = {fault.path for fault in faults}
+
+    def kept(field: str) -> list[str]:
+        texts = () if field in paths else getattr(layout, field)
+        is_well = [f"{field}[{place}]" not in paths for place in range(len(texts))]
+        return [text for text, well in zip(texts, is_well, strict=True) if well]
+
+    given = {} if "objects" in paths else layout.objects
+    objects = {name: meant for name, meant in given.items() if f"objects.{name}" not in paths}
+    lost = layout.objects.keys() - objects.keys()
+    usual = LayoutFields({})
+    plain = ("region", "others", "poses", "crowd", "natural")
+    values = {name: getattr(usual, name) for name in plain if name in paths}
+    is_odd = any(path.partition(".")[0] == "clutter" for path in paths)
+    return msgspec.structs.replace(
+        layout,
+        objects=objects,
+        relations=[
+            text
+            for text in kept("relations")
+            if text != _UNREAD and not lost & {*text.partition(":")[0].split()}
+        ],
+        arrangements=kept("arrangements"),
+        clutter=usual.clutter if is_odd else layout.clutter,
+        **values,
+    )
+
+
+def _is_empty(layout: LayoutFields) -> bool:
+    """Whether a layout asks for no object."""
+    return not (layout.objects or layout.arrangements or layout.others)
+
+
+def _path_before(path: str, rest: LayoutFields, layout: LayoutFields) -> str:
+    """A place in the rest of a layout as a place in the layout."""
+    field, bracket, place = path.partition("[")
+    if not bracket:
+        return path
+    text = getattr(rest, field)[int(place.rstrip("]"))]
+    return f"{field}[{getattr(layout, field).index(text)}]"
 
 
 def place_of(fault: LayoutFault) -> int:
     """Where a fault stands among those of other fields."""
-    field = re.split(r"[.\[]", fault.path)[0]
+    field = _field_in(fault)
     return FIELDS.index(field) if field in FIELDS else len(FIELDS)
+
+
+def _field_in(fault: LayoutFault) -> str:
+    """The field of a layout that a fault is about."""
+    return re.split(r"[.\[]", fault.path)[0]
 
 
 def parse_content(data: bytes) -> Any:
@@ -470,7 +544,7 @@ def meaning_faults(
     """What names, conditions and relations say that cannot be.
 
     Args:
-      facts: of the pool's objects; looked up where they are needed if None, not checked if empty.
+      facts: of the pool's objects; looked up where they are needed if None, not known if empty.
       pool: its name, the layout's own if "".
     """
     pool = pool or layout.pool
@@ -507,12 +581,14 @@ def meaning_faults(
             if facts is None:
                 facts = pool_of(pool).facts
             known = [each.name for each in facts]
-            if known and name not in known:
+            if name not in known:
                 own = f"{', '.join(layout.objects)}, or " if layout.objects else ""
                 yield LayoutFault(
                     path,
                     f"{name!r} in a relation",
-                    f"{own}an object of pool {pool!r}: {first_names(known, _NAMES_SHOWN)}",
+                    f"{own}an object of pool {pool!r}: {first_names(known, _NAMES_SHOWN)}"
+                    if known
+                    else f"{own}an object of the pool, which is not known",
                     meant=closest(name, [*layout.objects, *known]),
                 )
     try:
@@ -651,12 +727,17 @@ def _number_faults(layout: LayoutFields, num_known: int) -> Iterator[LayoutFault
             yield replace(fault, hint="clutter: {stack: 2, near: 0.02}")
 
 
-def _field_of(error: ClutterGenError, layout: LayoutFields) -> str:
-    """The field of a layout that an error of its request is about; "" where that is not plain."""
+def _place_of_error(error: ClutterGenError, layout: LayoutFields) -> str:
+    """The place in a layout that an error of its request is about; "" where that is not plain."""
+    for place, text in enumerate(layout.arrangements):
+        if repr(str(Arrangement.parse(text))) in error.given:
+            return f"arrangements[{place}]"
     for name, condition in layout.objects.items():
         if re.search(rf"role {name!r}|{re.escape(condition)!r}", error.given):
             return f"objects.{name}"
-    fields = ("clutter", "relations", "objects", "region", "support")
+    if re.search(r"\bcrowd\b|drawn together", error.given):
+        return "crowd"
+    fields = ("clutter", "relations", "poses", "objects", "region", "support")
     return next((field for field in fields if field in error.given), "")
 
 

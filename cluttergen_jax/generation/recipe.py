@@ -69,7 +69,8 @@ def recipe_of(
 
 def _sense_of(config: PlacementConfig) -> Record:
     """Which table natural scenes were made by."""
-    return {"sense_digest": read_sense(config.sense).digest} if config.natural else {}
+    is_used = config.natural or (config.sense and config.arrangements)
+    return {"sense_digest": read_sense(config.sense).digest} if is_used else {}
 
 
 def problem_of_recipe(recipe: Recipe, path: Path) -> ProblemConfig:

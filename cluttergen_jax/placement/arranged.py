@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from cluttergen_jax.assets.facts import ObjectFacts, parse_condition
 from cluttergen_jax.assets.hollow import hollow_of
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.errors import ConfigError, first_names
+from cluttergen_jax.assets.sense import read_sense
+from cluttergen_jax.errors import ConfigError, closest, first_names
 from cluttergen_jax.geometry import rotation_matrix
 from cluttergen_jax.physics.margin import support_margin
 from cluttergen_jax.placement.arrangements import NEST, ROW, STACK, parse_arrangements
@@ -94,25 +95,44 @@ def stands_on_itself(asset: ObjectAsset) -> tuple[bool, bool]:
 
 
 def able_objects(
-    objects: Sequence[ObjectAsset], facts: Sequence[ObjectFacts], arrangements: Sequence[str]
+    objects: Sequence[ObjectAsset],
+    facts: Sequence[ObjectFacts],
+    arrangements: Sequence[str],
+    sense: str = "",
 ) -> dict[str, np.ndarray]:
     """bool[K] of each role of arrangements: the objects that can do what is asked of them.
 
+    Args:
+      sense: the file of the table of sense, by which some things carry nothing; the package's if empty.
+
     Raises:
-      ConfigError: none of those that are meant can; it names those and some of the others that can.
+      ConfigError: no object is meant, or none of those that are can; it names some that can.
     """
     able: dict[str, np.ndarray] = {}
     for place, each in enumerate(parse_arrangements(arrangements), 1):
         test = parse_condition(each.condition)
         is_meant = np.array([test(fact) for fact in facts])
+        if not is_meant.any():
+            names = [fact.name for fact in facts]
+            raise ConfigError(
+                f"arrangement {str(each)!r}: {each.condition!r}, which no object is",
+                first_names(list(dict.fromkeys(names)), _MOST_NAMED),
+                meant=closest(each.condition.strip("*?"), names),
+            )
         can = np.array([_can(each.kind, asset) for asset in objects])
-        if is_meant.any() and not (can & is_meant).any():
+        reason = _CANNOT[each.kind]
+        if each.kind == "stack":
+            is_stacked = np.array([_people_stack(asset, sense) for asset in objects])
+            if (can & is_meant).any():
+                reason = "which carry nothing by the table of sense (`sense`)"
+            can &= is_stacked
+        if not (can & is_meant).any():
             meant, others = (
                 [fact.name for fact, chosen in zip(facts, which, strict=True) if chosen]
                 for which in (is_meant, can)
             )
             raise ConfigError(
-                f"arrangement {str(each)!r} of {first_names(meant, _MOST_NAMED)}, {_CANNOT[each.kind]}",
+                f"arrangement {str(each)!r} of {first_names(meant, _MOST_NAMED)}, {reason}",
                 f"such as {first_names(others, _MOST_NAMED)}"
                 if others
                 else "none of these objects",
@@ -138,6 +158,12 @@ def _can(kind: str, asset: ObjectAsset) -> bool:
         return bool(row_quaternions(asset))
     is_stacked, is_sunk = stands_on_itself(asset)
     return is_stacked if kind == "stack" else is_sunk and hollow_of(asset) is not None
+
+
+def _people_stack(asset: ObjectAsset, sense: str) -> bool:
+    """Whether people put an object on its like: what carries nothing else may still sink into it."""
+    table = read_sense(sense)
+    return table.carries_its_like(table.kind_of(asset)) or _can("nest", asset)
 
 
 def _quaternion_of(matrix: np.ndarray) -> np.ndarray:

@@ -263,7 +263,9 @@ def relate_objects(
         return objects, None
     conditions = conditions_of(roles, relations)
     facts = [ObjectFacts.of(each) for each in objects]
-    able = able_objects(objects, facts, config.arrangements) if config.arrangements else {}
+    able = {}
+    if config.arrangements:
+        able = able_objects(objects, facts, config.arrangements, config.sense)
     copies = 1
     while may_repeat and (copies + 1) * len(objects) <= MAX_OBJECTS:
         if can_be_filled(_able_of(conditions, facts * copies, able)):

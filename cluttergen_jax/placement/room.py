@@ -163,7 +163,7 @@ def _check_side_by_side(objects: Sequence[ObjectAsset], config: ProblemConfig, a
         return
     stacked = placement.most_stacked or 0
     number = placement.num_objects
-    most = int(MOST_PACKED / mean * max(number - stacked, 1)) + stacked
+    most = int(USUALLY_PACKED / mean * max(number - stacked, 1)) + stacked
     fewer = f"num_objects={most}, " if most else ""
     raise ConfigError(
         f"{number} objects side by side, whose outlines cover {mean:.1f} times the region in the mean",

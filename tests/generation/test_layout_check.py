@@ -176,6 +176,36 @@ def test_all_errors_are_said_at_once_with_their_places(tmp_path):
     assert all(fault.path in str(caught.value) for fault in caught.value.faults)
 
 
+def test_a_misspelt_pool_or_support_hides_no_other_error(tmp_path):
+    layout = {
+        "pool": "dinning",
+        "support": "tabel",
+        "colour": "red",
+        "objects": {"a": "mugg", "b": "bowl"},
+        "relations": ["a next_to xx"],
+        "arrangements": ["nest bottle"],
+        "region": "5by3",
+        "clutter": {"stack": 50},
+    }
+    found = check(tmp_path, layout)
+    assert paths(found) == [
+        "objects.a",
+        "relations[0]",
+        "arrangements[0]",
+        "pool",
+        "support",
+        "region",
+        "clutter",
+        "colour",
+    ]
+    assert found.faults[-1].meant == ""
+    # Of a pool of which nothing is known, the layout's own names are.
+    found = check(tmp_path, {**layout, "pool": "qqq", "relations": ["a next_to b", "a next_to xx"]})
+    assert paths(found) == ["relations[1]", "pool", "support", "colour"]
+    sloping = {"objects": {"a": "mug", "b": "bowl"}, "support": "tilted_board_10", "crowd": 0.5}
+    assert paths(check(tmp_path, sloping)) == ["crowd"]
+
+
 @pytest.mark.parametrize(
     ("condition", "meant"),
     [

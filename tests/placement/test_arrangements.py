@@ -112,6 +112,26 @@ def test_things_that_do_not_stand_on_their_like_are_refused():
         able_objects(objects, facts, ("stack teapot",))
     with pytest.raises(ConfigError, match=r"dinner_plate, which are not hollow.*such as bowl"):
         able_objects(objects, facts, ("nest dinner_plate",))
+    with pytest.raises(ConfigError, match=r"'plate', which no object is.*dinner_plate"):
+        able_objects(objects, facts, ("stack plate",))
+
+
+def test_what_carries_nothing_is_not_stacked():
+    names = ("mug", "wine_glass", "water_glass", "fork", "soup_can")
+    objects = list(find_pool("dining", names=names).objects)
+    facts = [ObjectFacts.of(each) for each in objects]
+    (able, *_) = able_objects(objects, facts, ("stack *",)).values()
+    # Mugs are stacked by people, and glasses that sink into one another.
+    is_stacked = dict(zip([each.name for each in objects], able.tolist(), strict=True))
+    assert is_stacked == {
+        "mug": True,
+        "wine_glass": False,
+        "water_glass": True,
+        "fork": False,
+        "soup_can": True,
+    }
+    with pytest.raises(ConfigError, match=r"wine_glass, which carry nothing.*such as mug"):
+        able_objects(objects, facts, ("stack wine_glass",))
 
 
 def test_a_book_stands_on_its_narrow_side_with_its_thin_side_along_the_row():
