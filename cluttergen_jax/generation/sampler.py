@@ -400,6 +400,7 @@ def set_up_bank(spec: SceneSpec, seed: int) -> tuple[Method, Setup, Shelves | No
     """
     method = choose_method(spec.method, spec.pool_text, spec.checkpoint)
     spec.check_method(method.name)
+    spec.check_sense()
     pool = spec.find_pool()
     config = spec.problem_config(method.name, pool)
     config = replace(config, placement=with_history_of(config.placement, method.checkpoint))
