@@ -114,7 +114,7 @@ class SceneOptions(TypedDict, total=False):
     stability: str | Mapping[str, float | str] | StabilityConfig | None
     for_engine: OtherEngine | None
     setting: Setting
-    overhang: Overhang
+    overhang: Overhang | None
     clutter: str | Mapping[str, float] | None
     natural: bool
     sense: str
@@ -189,7 +189,8 @@ class SceneSpec(PlacementRequest):
       setting: default preset of the rules that are not given: "default", or "paper": a random order, nothing
         removed, no margin.
       overhang: how much of an object's footprint may reach beyond the edge of the support once it rests:
-        "any"; "half", at most 25 % (a uniform body tips at 50 %); or "none".
+        "any"; "half", at most 25 % (a uniform body tips at 50 %); or "none". If not given: "half" of natural
+        scenes, "any" of others.
       clutter: what scenes should have on average (methods "guided", "spread"): stack, number of objects on
         others; contained, number of objects inside of hollow others, such as bowls and pots; depth, sum over
         objects of those below; contacts, touching pairs; near, mean distance to the nearest object (m);
@@ -351,7 +352,11 @@ class SceneSpec(PlacementRequest):
         asked |= {"ruin_after": 0, "min_margin": 0.0}
         asked |= {name: recipe[name] for name in _LATER if name in recipe}
         asked |= {"relations_prefer": not rules.get("relations")}
-        asked |= {name: rules[name] for name in RULES if name in rules}
+        asked |= {"overhang": "any"} if rules.get("natural") else {}
+        unused = [] if rules.get("natural") else ["seat"]
+        # A theme is recorded as the objects that it chose.
+        unused += [] if rules.get("natural") or rules.get("poses") == "usual" else ["sense"]
+        asked |= {name: rules[name] for name in RULES if name in rules and name not in unused}
         stability = recipe["stability"]
         is_native = recipe["engine"] == "native"
         return cls(
@@ -430,6 +435,14 @@ class SceneSpec(PlacementRequest):
             given += entry.own_poses
             raise ConfigError(given, f"poses='upright', or method {allowed}", "method='guided'")
 
+    def check_sense(self) -> None:
+        """Refuses a table of sense that nothing reads (ConfigError)."""
+        is_read = self.natural or self.theme or self.arrangements or self.poses == "usual"
+        if self.sense and not is_read:
+            given = f"sense = {str(self.sense)!r}, which nothing here reads"
+            allowed = "with natural, a theme, arrangements or poses='usual'"
+            raise ConfigError(given, allowed, "natural=True")
+
     def check_method(self, method: str) -> None:
         """Refuses what is asked of scenes that a method cannot bring about (ConfigError)."""
         entry = entry_of(method)
@@ -463,7 +476,7 @@ class SceneSpec(PlacementRequest):
         region = self.region if isinstance(self.region, str) else ""
         is_asked["region"] = region == "outline" or ";" in region
         is_asked["surface"] = self.surface == "all" or bool({*",:"} & {*self.surface})
-        is_asked["overhang"] = self.overhang != "any"
+        is_asked["overhang"] = self.overhang not in (None, "any")
         is_asked["engine"] = self.engine in ("warp", "jax")
         wanted = [name for name, asked in is_asked.items() if asked]
         if wanted:
@@ -540,7 +553,8 @@ class SceneSpec(PlacementRequest):
           found: the pool, where it is at hand.
 
         Raises:
-          ConfigError: more objects are asked for than there are, or there is no such engine.
+          ConfigError: more objects are asked for than there are, there is no such engine, or nobody
+            sits at the seat.
           PoolError: there is no such pool or support.
         """
         from cluttergen_jax.assets.doors import are_to_be_closed
@@ -552,6 +566,9 @@ class SceneSpec(PlacementRequest):
         from cluttergen_jax.placement.problem import ProblemConfig
         from cluttergen_jax.placement.room import check_number
 
+        if self.seat != DEFAULTS["seat"] and not self.natural:
+            given = f"seat = {self.seat!r} of scenes that are not natural"
+            raise ConfigError(given, "with natural", "natural=True")
         pool = self.pool_text
         chosen = tuple(self.objects)
         if not all(map(is_plain_name, chosen)):
@@ -693,6 +710,8 @@ class SceneSpec(PlacementRequest):
         asked = {name: getattr(self, name) for name in RULES}
         rules = {name: value for name, value in asked.items() if value is not None}
         rules |= decided or {}
+        if self.natural and self.overhang is None:
+            rules["overhang"] = "half"
         rules["num_objects"] = num_objects
         rules["roles"] = parse_roles(str(self.roles))
         if not self.relations and isinstance(self.relations_prefer, bool):

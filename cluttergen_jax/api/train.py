@@ -119,6 +119,7 @@ def train(
     from cluttergen_jax.learning.training.train import TrainConfig, as_in_paper, run_training
 
     asked = spec_of(train, spec, options)
+    asked.check_sense()
     if asked.num_objects is None:
         asked = replace(asked, num_objects=10)
     config = TrainConfig(

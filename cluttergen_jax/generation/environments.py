@@ -110,6 +110,7 @@ def make_env(
     _check_choices(observation, action)
     observed = ObservationConfig(num_scene_points=num_scene_points, num_cells=num_cells)
     method = _method_of(asked, action, history_stride)
+    asked.check_sense()
     pool = asked.find_pool()
     config = asked.problem_config(method and method.name, pool)
     placement = replace(config.placement, reward=reward, history_stride=history_stride)

@@ -184,6 +184,7 @@ class HandBank:
 
 def hand_setup(spec: SceneSpec) -> Setup:
     """The problem that a person solves (`make_setup`): attempts as they like, none looked back on."""
+    spec.check_sense()
     pool = spec.find_pool()
     config = spec.problem_config(None, pool)
     config = replace(config, placement=replace(config.placement, history_stride=0, doors=None))

@@ -781,6 +781,7 @@ def _room_notes(spec: SceneSpec, layout: LayoutFields, pool: Pool) -> list[str]:
     """
     method = spec.method if isinstance(spec.method, str) else DEFAULT_METHOD
     spec.check_method(method)
+    spec.check_sense()
     config = spec.problem_config(method, pool)
     if config.shelf:
         return []

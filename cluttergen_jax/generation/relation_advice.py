@@ -61,9 +61,13 @@ def relation_notes(problem: Problem) -> Iterator[str]:
         text = f"note: {str(asked[place])!r}: {names[index]} does not go into {names[container]}: "
         room = f"the opening of {names[container]}, {_size(half[container, :2])}"
         if passes_through(own, hollows, container):
-            text += f"of some hundred releases over {room}, none came to rest inside, {_size(own)}"
+            text += (
+                f"of some hundred releases over {room}, none came to rest inside, {_size(own)}; "
+            )
+            text += "scenes will hardly succeed"
         else:
-            text += f"its shorter sides, {_size(np.sort(own)[:2])}, are wider than {room}"
+            text += f"its shorter sides, {_size(np.sort(own)[:2])}, are wider than {room}; "
+            text += "scenes will not succeed, though placing is tried"
         yield f"{text}; a larger container, or a smaller object, helps"
 
 

@@ -400,10 +400,7 @@ def set_up_bank(spec: SceneSpec, seed: int) -> tuple[Method, Setup, Shelves | No
     """
     method = choose_method(spec.method, spec.pool_text, spec.checkpoint)
     spec.check_method(method.name)
-    if spec.sense and not (spec.natural or spec.theme or spec.arrangements):
-        given = f"sense = {str(spec.sense)!r}, which nothing asks for"
-        allowed = "with `natural`, `theme` or `arrangements`"
-        raise ConfigError(given, allowed, "natural=True, or no `sense`")
+    spec.check_sense()
     pool = spec.find_pool()
     config = spec.problem_config(method.name, pool)
     config = replace(config, placement=with_history_of(config.placement, method.checkpoint))

@@ -227,7 +227,8 @@ class Crowder(RestRounds):
         If there is no room it stands a little farther from the middle of its group, or is left out.
         """
         poses = self.poses[row]
-        is_bad = self._has_tipped(np.array([row]))[0] | self._has_climbed(row)
+        climbing = self._climbing(row)
+        is_bad = self._has_tipped(np.array([row]))[0] | self._has_climbed(row, climbing)
         if self.engine.probe.depths(poses, self.is_member[row]) is None:
             return
         members = np.flatnonzero(self.is_member[row])
@@ -243,23 +244,36 @@ class Crowder(RestRounds):
                 poses[index] = placed
                 poses[index, :2] += away * rotate_in_plane(outward, turn)
                 depths = self.engine.probe.depths(poses, self.is_member[row])
-                if depths is not None and not (depths[index, :-1] > 0).any():
+                if depths is None or (depths[index, :-1] > 0).any():
+                    continue
+                climbing = self._climbing(row)
+                if not (climbing[index] | climbing[:, index]).any():
                     break
             else:
                 self._leave_out(np.array([row]), (np.arange(len(poses)) == index)[None])
 
-    def _has_climbed(self, row: int) -> np.ndarray:
-        """bool[K]: what lies on an object on which it was not placed, where it may not."""
+    def _has_climbed(self, row: int, climbing: np.ndarray) -> np.ndarray:
+        """bool[K]: of two objects of which one climbed on the other, or slipped under it, the smaller one."""
+        upper, lower = np.nonzero(climbing)
+        area = self.half_extents[row, :, :2].prod(1)
+        smaller = np.where(area[upper] < area[lower], upper, lower)
+        return np.isin(np.arange(len(area)), smaller)
+
+    def _climbing(self, row: int) -> np.ndarray:
+        """bool[K, K]: which objects, by row, lie on which, or just over it, though they were not placed so.
+
+        Nothing does where objects may lie on others.
+        """
+        is_member = self.is_member[row]
         if not self.asked.is_kept[row]:
-            return np.zeros(self.is_member.shape[1], bool)
-        carried = [
-            self.engine.probe.lies_on()
+            return np.zeros((len(is_member),) * 2, bool)
+        probe = self.engine.under_probe
+        lies = [
+            probe.lies_on()
             for poses in (self.asked.poses[row], self.poses[row])
-            if self.engine.probe.depths(poses, self.is_member[row]) is not None
+            if probe.depths(poses, is_member) is not None
         ]
-        if len(carried) < 2:
-            return np.zeros(self.is_member.shape[1], bool)
-        return (carried[1] & ~carried[0]).any(1)
+        return lies[1] & ~lies[0] if len(lies) == 2 else np.zeros((len(is_member),) * 2, bool)
 
     def _has_tipped(self, rows: np.ndarray) -> np.ndarray:
         """bool[m, K]: what tipped over that may not."""

@@ -25,6 +25,8 @@ MAX_BESIDE = 0.5
 """Vertical part of a contact's unit normal up to which it is one from the side: 30 degrees from level."""
 TOUCH_REACH = 0.0005
 """Metres of gap across which two objects still touch: what stands side by side parts by micrometres."""
+UNDER_REACH = 0.002
+"""Metres of gap up to which an object is right under another, as a fork under the rim of a plate."""
 
 HOLD_FRICTION = 0.35
 """Of what a body stands on, while its side is held: 0.7 times the usual 0.5, as `robust` asks for."""
@@ -218,7 +220,7 @@ class OverlapProbe:
     Args:
       layout: of the compiled world.
       side_support: margins count what holds a body from its sides.
-      reach: metres of gap over which contacts are seen, for `beside`.
+      reach: metres of gap over which contacts are seen, for `beside` and `lies_on`.
     """
 
     def __init__(self, layout: Layout, side_support: bool = False, reach: float = 0.0) -> None:
@@ -271,12 +273,12 @@ class OverlapProbe:
         return bearers_of(self._layout, self._data, index)
 
     def lies_on(self) -> np.ndarray:
-        """Which objects, by row, lie on which, pressed upwards and not from the side: bool[K, K]."""
+        """Which objects, by row, lie on which, and not beside it, over gaps within reach: bool[K, K]."""
         contact = self._data.contact
         pair = self._layout.geom_object[contact.geom]
         lift = contact.frame[:, 2]
         upper, lower = np.where(lift > 0, pair.T[::-1], pair.T)
-        presses = (np.abs(lift) >= MAX_BESIDE) & (contact.dist < 0)
+        presses = (np.abs(lift) >= MAX_BESIDE) & (contact.dist < self._reach)
         lies = np.zeros((self._layout.num_objects + 1,) * 2, bool)
         lies[upper[presses], lower[presses]] = True
         return lies[:-1, :-1]

@@ -36,7 +36,7 @@ from cluttergen_jax.physics.host import (
 )
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.log import silent_log
-from cluttergen_jax.physics.margin import MIN_SHIFT, TOUCH_REACH, OverlapProbe
+from cluttergen_jax.physics.margin import MIN_SHIFT, TOUCH_REACH, UNDER_REACH, OverlapProbe
 from cluttergen_jax.physics.outlines import Outlines
 from cluttergen_jax.physics.piles import Piler, PileRequest, walled_simulations
 from cluttergen_jax.physics.simulations import Motion, Simulations, sleeping_model
@@ -123,6 +123,11 @@ class NativePhysics(HostPhysics):
     def outlines(self) -> Outlines:
         """Of the objects, in plan."""
         return Outlines(self.layout)
+
+    @cached_property
+    def under_probe(self) -> OverlapProbe:
+        """Sees what is right under something, too, where nothing presses."""
+        return OverlapProbe(self.layout, reach=UNDER_REACH)
 
     def settle_batch(
         self, poses: np.ndarray, is_placed: np.ndarray, focus: np.ndarray, is_active: np.ndarray

@@ -23,6 +23,7 @@ from cluttergen_jax.placement.clutter import CROWDED, Clutter
 from cluttergen_jax.placement.relations import (
     Relation,
     conditions_of,
+    object_names,
     parse_relations,
     parse_roles,
 )
@@ -86,7 +87,7 @@ class PlacementRequest:
     min_margin: float | None = None
     ruin_after: int | None = None
     budget: int | None = None
-    overhang: Overhang = "any"
+    overhang: Overhang | None = None
     clutter: str | Mapping[str, float] | Clutter | None = None
     natural: bool = False
     sense: str = ""
@@ -129,6 +130,7 @@ class PlacementConfig(PlacementRequest):
     order: Order = "random"
     min_margin: float = 0.0
     ruin_after: int = 0
+    overhang: Overhang = "any"
     clutter: Clutter | None = None
     relations_prefer: bool = False
     roles: tuple[tuple[str, str], ...] = ()
@@ -204,8 +206,8 @@ class PlacementConfig(PlacementRequest):
         names = conditions_of(self.all_roles, self.all_relations)
         if len(names) > self.num_objects:
             raise ConfigError(
-                f"{len(names)} objects in relations and arrangements ({', '.join(names)}) of scenes of "
-                f"{self.num_objects}",
+                f"{len(names)} objects in relations and arrangements ({', '.join(object_names(names))}) of "
+                f"scenes of {self.num_objects}",
                 f"up to {self.num_objects}",
                 f"num_objects={len(names)}",
             )

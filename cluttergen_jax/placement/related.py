@@ -34,6 +34,7 @@ from cluttergen_jax.placement.relations import (
     can_be_filled,
     candidates_of,
     conditions_of,
+    object_names,
     order_of,
 )
 from cluttergen_jax.placement.types import Episode, Geometry, choose
@@ -128,8 +129,9 @@ class RelatedObjects(struct.PyTreeNode):
         candidates = _able_of({name: conditions[name] for name in names}, facts, able or {})
         if not can_be_filled(candidates):
             raise ConfigError(
-                f"{len(names)} roles ({', '.join(names)}), for which the objects do not suffice",
-                "a different object for each role",
+                f"{len(names)} different objects ({', '.join(object_names(conditions))}), of which "
+                "there are too few",
+                "a different object for each",
                 "repeat=True, or more objects",
             )
         number = {name: place for place, name in enumerate(names)} | {TABLE: len(names)}

@@ -28,6 +28,8 @@ USUAL = {"next_to": 0.05, "far_from": 0.20, "left_of": 0.15, "right_of": 0.15}
 USUAL |= {"in_front_of": 0.15, "behind": 0.15}
 """Metres of gap, where a relation of a distance is asked for without one."""
 MOST_GAP = 2.0
+ARRANGED_ROLE = re.compile(r"(row|stack|nest)-\d+-\d+")
+"""Roles within arrangements, which nobody named (`arrangements.roles_and_relations`)."""
 _UNDER = "under"
 _TERM = re.compile(r"\s*(\S+)\s+(\w+)\s+([^\s:]+)\s*(?::\s*(\S+)\s*)?")
 _HINT = "'mug on book', 'fork left_of plate', 'cup next_to bottle:0.05'"
@@ -170,6 +172,14 @@ def conditions_of(
     return conditions
 
 
+def object_names(conditions: Mapping[str, str]) -> list[str]:
+    """Names for people: of roles, and of what is arranged, whose roles nobody named, the conditions."""
+    return [
+        condition if ARRANGED_ROLE.fullmatch(name) else name
+        for name, condition in conditions.items()
+    ]
+
+
 def _no_candidate(name: str, condition: str, known: Sequence[str]) -> ConfigError:
     """The error for a role that no object can take."""
     names = [each for each in known if each not in (name, "any")]
@@ -177,9 +187,12 @@ def _no_candidate(name: str, condition: str, known: Sequence[str]) -> ConfigErro
         given = f"no object is called {name!r}"
         allowed = ", ".join(dict.fromkeys(names))
         return ConfigError(given, allowed, meant=closest(name, names))
-    given = f"role {name!r} is {condition!r}, which no object fulfils"
     allowed = "a name, a pattern or a condition that one of the objects fulfils"
     meant = closest(condition.strip("*?"), names)
+    if kind := ARRANGED_ROLE.fullmatch(name):
+        given = f"{condition!r} in `arrangements`, which no object fulfils"
+        return ConfigError(given, allowed, f"arrangements=('{kind[1]} {meant or '*'}',)")
+    given = f"role {name!r} is {condition!r}, which no object fulfils"
     return ConfigError(given, allowed, f"roles='{name}={meant or '*'}'")
 
 

@@ -242,7 +242,8 @@ class Shelves:
         is_uneven = len(np.unique(self._weights[self._weights > 0])) > 1 or self._groups is not None
         if config.shelf == most and is_uneven:
             raise ConfigError(
-                f"`weights` or `balance` with a shelf of all {most} objects, which no draw changes",
+                f"a shelf of all {most} objects, of which none is left to draw by "
+                f"`{'weights' if self._groups is None else 'balance'}`",
                 f"a shelf of {range_text(1, most - 1, 'fewer objects than can be drawn')}",
                 _smaller_shelf(config.placement.num_objects, most),
             )

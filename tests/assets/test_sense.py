@@ -18,7 +18,7 @@ from cluttergen_jax.assets.sense import (
     sense_of,
 )
 from cluttergen_jax.errors import ConfigError
-from tests.helpers.worlds import box
+from tests.helpers.worlds import box, prism
 
 TABLE = """
 format: 1
@@ -184,6 +184,23 @@ def test_a_box_shows_how_it_is_turned(degrees):
     assert found.is_box_like
     assert found.sides == pytest.approx((0.2, 0.06))
     assert np.sin(found.heading - angle) == pytest.approx(0, abs=1e-6)
+
+
+def test_a_rounded_box_shows_how_it_is_turned():
+    turns = np.radians(np.arange(0, 360, 5))
+    corner = 0.02 * np.column_stack([np.cos(turns), np.sin(turns)])
+    middles = np.array([[-0.03, -0.02], [0.03, -0.02], [0.03, 0.02], [-0.03, 0.02]])
+    found = plan_shape((middles[:, None] + corner).reshape(-1, 2))
+    assert found.is_box_like
+    assert found.sides == pytest.approx((0.10, 0.08))
+
+
+def test_a_can_is_turned_by_its_shape():
+    boxy = replace(box("boxy", (0.05, 0.03, 0.04)), label="potted meat can")
+    round_one = replace(prism("tin", 0.03, 0.05), label="soup can")
+    found = sense_of([boxy, round_one])
+    assert found.kinds == ("can", "can")
+    assert [TURNS[turn] for turn in found.turn] == ["edge", "free"]
 
 
 def test_a_disc_shows_no_turn():

@@ -8,7 +8,7 @@ import pytest
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.physics.crowds import LEANS
-from cluttergen_jax.physics.margin import TOUCH_REACH, OverlapProbe
+from cluttergen_jax.physics.margin import TOUCH_REACH, UNDER_REACH, OverlapProbe
 from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.placement.world import make_world
 from cluttergen_jax.types import Verdict
@@ -153,3 +153,17 @@ def test_what_tips_over_is_left_out_and_the_others_stand(engine):
     is_placed = ~made.is_left_out
     standing = engine.stand_batch(made.poses, is_placed, asked[-1])
     assert standing.verdict[0] == Verdict.STABLE
+
+
+def test_what_is_right_under_something_is_seen_where_nothing_presses(engine):
+    poses = asked_for(1, side=0.75)[0][0].astype(float)
+    lower, upper = (0, 1)
+    poses[upper] = poses[lower]
+    poses[upper, 2] += 0.03 + 0.02 + 0.001
+    is_placed = np.arange(NUMBER) < 2
+    assert UNDER_REACH > 0.001
+    lies = []
+    for probe in (engine.probe, engine.under_probe):
+        assert probe.depths(poses, is_placed) is not None
+        lies.append(np.argwhere(probe.lies_on()).tolist())
+    assert lies == [[], [[upper, lower]]]
