@@ -49,6 +49,11 @@ PRESS = Pull(1.2, height=0.0, drag=30.0, turning_drag=30.0, time_share=1.0, most
 """Likewise, all steps: overlaps become micrometres, and what touches goes on touching."""
 LEAN = Pull(6.0, height=1.0, drag=2.0, turning_drag=2.0, time_share=1.0, most_steps=240)
 """With friction: tall objects tip against their neighbours."""
+HOLD = Pull(2.0, height=0.0, drag=10.0, turning_drag=10.0, time_share=1.0, most_steps=96)
+"""With `_HOLD_FRICTION` of their friction, all steps: what tipped is held, or stands up among the others."""
+_HOLD_FRICTION = 0.3
+# What leans while it is drawn, for each object that is to lean in the end: some stand up again.
+_LEANING_FIRST = 1.5
 
 _NO_TURN = 300.0
 """1/s, by which angular speeds decay where objects keep how they are turned."""
@@ -163,6 +168,8 @@ class Crowder(RestRounds):
         if (leaning := np.flatnonzero(self.asked.lean[rows] > 0)).size:
             with sims.lower_friction(1.0, LEAN.drag, LEAN.turning_drag):
                 self._pull(rows, leaning, middles, LEAN, self._has_leaning)
+            with sims.lower_friction(_HOLD_FRICTION, HOLD.drag, HOLD.turning_drag):
+                self._pull(rows, leaning, middles, HOLD)
         nothing = np.zeros(is_member.shape)
         sims.push(ids, np.zeros((*nothing.shape, 3)), nothing)
         with sims.lower_friction(1.0, _RELAX_DRAG, _RELAX_DRAG):
@@ -340,7 +347,7 @@ class Crowder(RestRounds):
     def _has_leaning(self, row: int, simulation: int) -> bool:
         poses = self.plain.poses(np.array([simulation]))
         is_leaning = self._tilts(np.array([row]), poses)[0] > LEANS
-        return is_leaning.sum() >= self.asked.lean[row] * self.is_member[row].sum()
+        return is_leaning.sum() >= _LEANING_FIRST * self.asked.lean[row] * self.is_member[row].sum()
 
     def _tilts(self, rows: np.ndarray, poses: np.ndarray) -> np.ndarray:
         """f64[m, K]: radians between what was upwards of each object as it was placed, and upwards."""
