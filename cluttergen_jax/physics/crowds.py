@@ -43,7 +43,7 @@ class Pull(NamedTuple):
     most_steps: int
 
 
-TOGETHER = Pull(2.0, height=0.0, drag=8.0, turning_drag=4.0, time_share=2.0, most_steps=60)
+TOGETHER = Pull(2.0, height=0.0, drag=8.0, turning_drag=4.0, time_share=2.0, most_steps=96)
 """Without friction, of which each step costs half."""
 PRESS = Pull(1.2, height=0.0, drag=30.0, turning_drag=30.0, time_share=1.0, most_steps=36)
 """Likewise, all steps: overlaps become micrometres, and what touches goes on touching."""

@@ -10,6 +10,7 @@ from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.physics.crowds import LEANS
 from cluttergen_jax.physics.margin import TOUCH_REACH, UNDER_REACH, OverlapProbe
 from cluttergen_jax.physics.native import NativePhysics
+from cluttergen_jax.physics.outlines import gaps_in_plan, moved_together, reaches_of_boxes
 from cluttergen_jax.placement.world import make_world
 from cluttergen_jax.types import Verdict
 from tests.helpers.worlds import TOP, box, prism
@@ -53,6 +54,7 @@ def asked_for(number, side, lean=0.0, region=REGION, may_tip=False):
         np.tile(np.array(region, np.float32), (number, 1)),
         np.tile(half.astype(np.float32), (number, 1, 1)),
         np.zeros(number, np.float32),
+        np.zeros((number, 0, 5), np.float32),
         np.zeros((number, NUMBER), np.float32),
         np.full(number, side, np.float32),
         np.full(number, lean, np.float32),
@@ -111,6 +113,56 @@ def test_a_crowd_is_the_same_alone_and_with_other_threads(engine):
             np.testing.assert_array_equal(value, row_of(alone, 0)[name], err_msg=name)
 
 
+def test_a_crowd_keeps_out_of_boxes(engine):
+    asked = asked_for(4, side=1.0)
+    free = engine.crowd_batch(*asked).poses[..., :2]
+    half = 0.08
+    # Wider than the box by the radius of the smallest outline.
+    assert (np.abs(free).max(-1) < half + 0.02).any()
+    asked[6] = np.tile(np.array([0, 0, half, half, 0], np.float32), (4, 1, 1))
+    made = engine.crowd_batch(*asked)
+    assert (made.verdict == Verdict.STABLE).all()
+    is_placed = asked[1] & ~made.is_left_out
+    assert is_placed.any()
+    assert (np.abs(made.poses[..., :2]).max(-1) > half + 0.02)[is_placed].all()
+
+
+def test_outlines_are_as_far_apart_as_boxes(engine):
+    poses = asked_for(1, side=0.0)[0].astype(np.float64)
+    poses[..., 3:] = (1, 0, 0, 0)
+    places = poses[..., :2]
+    reaches = engine.outlines.reaches(poses)
+    gaps, towards = gaps_in_plan(places, reaches, places, reaches)
+    one, two = places[0, :2]
+    assert gaps[0, 0, 1] == pytest.approx(one[0] - two[0] - 0.06, abs=1e-6)
+    np.testing.assert_allclose(towards[0, 0, 1], (-1, 0), atol=1e-6)
+    box_reaches = reaches_of_boxes(np.array([[[0.1, 0.05]]]), np.array([[np.pi / 2]]))
+    gap, _ = gaps_in_plan(places, reaches, np.array([[[0.12, 0.4]]]), box_reaches)
+    assert gap[0, 0, 0] == pytest.approx(0.4 - 0.1 - one[1] - 0.03, abs=1e-6)
+
+
+def test_what_is_moved_together_comes_near_and_never_overlaps(engine):
+    asked = asked_for(4, side=0.0)
+    poses = asked[0].astype(np.float64)
+    probe = OverlapProbe(engine.layout)
+    moved = moved_together(
+        poses[..., :2],
+        engine.outlines.reaches(poses),
+        np.tile(np.eye(NUMBER, dtype=bool), (4, 1, 1)),
+        asked[1],
+        np.zeros((4, NUMBER, 2)),
+        (np.zeros((4, 0, 2)), np.zeros((4, 0, 32))),
+        num_moves=20,
+    )
+    assert (np.linalg.norm(moved, axis=-1) < np.linalg.norm(poses[..., :2], axis=-1)).all()
+    near = OverlapProbe(engine.layout, reach=0.003)
+    for row in range(4):
+        poses[row, :, :2] = moved[row]
+        assert not probe.depths(poses[row], asked[1][row])[:-1, :-1].any()
+        near.depths(poses[row], asked[1][row])
+        assert near.beside().any()
+
+
 def test_what_is_not_active_is_left_alone(engine):
     asked = asked_for(2, side=0.75)
     asked[-1][0] = False
@@ -122,7 +174,7 @@ def test_what_is_not_active_is_left_alone(engine):
 
 def test_tall_things_lean_where_that_is_asked_for_and_only_there(engine):
     asked = asked_for(4, side=0.75, lean=0.25, may_tip=True)
-    asked[6][:] = -1.0
+    asked[7][:] = -1.0
     made = engine.crowd_batch(*asked)
     assert (made.verdict == Verdict.STABLE).all()
     height = 1 - 2 * (made.poses[..., 4] ** 2 + made.poses[..., 5] ** 2)
