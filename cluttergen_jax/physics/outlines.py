@@ -7,8 +7,8 @@ still be apart, one under the rim of the other.
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
-from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.geometry import rotate
 from cluttergen_jax.physics.layout import Layout
 
@@ -59,8 +59,8 @@ def _corners(layout: Layout, index: int) -> np.ndarray:
             local = model.geom_aabb[geom, :3] + signs * model.geom_aabb[geom, 3:]
         points.append(rotate(np, model.geom_quat[geom], local) + model.geom_pos[geom])
     everything = np.concatenate(points)
-    hull = hull_of(everything)
-    return everything if hull is None else everything[hull.vertices]
+    # Joggled, it works for what is flat, too.
+    return everything[ConvexHull(everything, qhull_options="QJ").vertices]
 
 
 def reaches_of_boxes(half_extents: np.ndarray, yaw: np.ndarray) -> np.ndarray:
