@@ -43,8 +43,8 @@ class Pull(NamedTuple):
     most_steps: int
 
 
-TOGETHER = Pull(2.0, height=0.0, drag=8.0, turning_drag=4.0, time_share=2.0, most_steps=96)
-"""Without friction, of which each step costs half."""
+TOGETHER = Pull(2.0, height=0.0, drag=8.0, turning_drag=300.0, time_share=2.0, most_steps=96)
+"""Without friction, of which each step costs half; objects keep how they are turned, and hardly tip."""
 PRESS = Pull(1.2, height=0.0, drag=30.0, turning_drag=30.0, time_share=1.0, most_steps=36)
 """Likewise, all steps: overlaps become micrometres, and what touches goes on touching."""
 LEAN = Pull(6.0, height=1.0, drag=2.0, turning_drag=2.0, time_share=1.0, most_steps=240)
@@ -54,9 +54,6 @@ HOLD = Pull(2.0, height=0.0, drag=10.0, turning_drag=10.0, time_share=1.0, most_
 _HOLD_FRICTION = 0.3
 # What leans while it is drawn, for each object that is to lean in the end: some stand up again.
 _LEANING_FIRST = 1.5
-
-_NO_TURN = 300.0
-"""1/s, by which angular speeds decay where objects keep how they are turned."""
 
 # Steps until the targets are looked at for the first time, and between two looks.
 _FIRST_LOOK = 24
@@ -105,7 +102,7 @@ class CrowdRequest(NamedTuple):
       side: f32[n], pairs that are to touch from the side, for each object.
       lean: f32[n], share of the objects that are to lean.
       may_tip: bool[n], what tips over may stay.
-      is_kept: bool[n], objects keep how they are turned, and what they lie on.
+      is_kept: bool[n], objects keep what they lie on.
     """
 
     poses: np.ndarray
@@ -158,10 +155,9 @@ class Crowder(RestRounds):
         ids = np.arange(len(rows))
         is_member = self.is_member[rows]
         middles = self._middles(rows)
-        self._bring_near(rows, middles)
+        self._bring_near(rows, middles, is_member)
         sims.release(self.poses[rows], is_member, never_sleeps=is_member)
-        turning_drag = _NO_TURN if self.asked.is_kept.any() else TOGETHER.turning_drag
-        with sims.no_friction(TOGETHER.drag, turning_drag, TOGETHER.time_share):
+        with sims.no_friction(TOGETHER.drag, TOGETHER.turning_drag, TOGETHER.time_share):
             self._pull(rows, ids, middles, TOGETHER, self._has_sides)
         with sims.no_friction(PRESS.drag, PRESS.turning_drag):
             self._pull(rows, ids, middles, PRESS)
@@ -187,10 +183,13 @@ class Crowder(RestRounds):
         enough = self.asked.side[row] * self.is_member[row].sum()
         return not self.asked.lean[row] and self.num_beside(row, self.poses[row]) >= enough
 
-    def _bring_near(self, rows: np.ndarray, middles: np.ndarray) -> None:
-        """Moves objects as they stand towards the middles of their groups, f64[m, K, 2], where there is room.
+    def _bring_near(self, rows: np.ndarray, middles: np.ndarray, is_moving: np.ndarray) -> None:
+        """Moves objects as they stand towards the middles of their groups, where there is room.
 
-        What touches, or stands below a rim, is moved together.
+        What touches, or stands below a rim, is moved together, or not at all.
+
+        Args:
+          middles: f64[m, K, 2]; is_moving: bool[m, K], the objects that may move.
         """
         probe = self.engine.probe
         start = self.poses[rows]
@@ -202,6 +201,8 @@ class Crowder(RestRounds):
         for each, pairs in enumerate(is_same):
             _, group = connected_components(pairs, directed=False)
             is_same[each] = group[:, None] == group
+        stays = (is_same & (is_member & ~is_moving)[:, None]).any(-1)
+        middles = np.where(stays[..., None], places, middles)
         moved = start.copy()
         moved[..., :2] = moved_together(
             places, reaches, is_same, is_member, middles, self._boxes(rows), _MOVES
@@ -231,7 +232,8 @@ class Crowder(RestRounds):
     def _stand_again(self, row: int, middle: np.ndarray) -> None:
         """Puts what tipped over, is held too little, or climbed where it may not, back where it was placed.
 
-        If there is no room it stands a little farther from the middle of its group, or is left out.
+        If there is no room it stands a little farther from the middle of its group, or is left out. From
+        there it comes as near as it can.
         """
         poses = self.poses[row]
         climbing = self._climbing(row)
@@ -258,6 +260,8 @@ class Crowder(RestRounds):
                     break
             else:
                 self._leave_out(np.array([row]), (np.arange(len(poses)) == index)[None])
+        if (is_bad & self.is_member[row]).any():
+            self._bring_near(np.array([row]), middle[None], is_bad[None])
 
     def _has_climbed(self, row: int, climbing: np.ndarray) -> np.ndarray:
         """bool[K]: of two objects of which one climbed on the other, or slipped under it, the smaller one."""

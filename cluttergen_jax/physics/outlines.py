@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull
 from cluttergen_jax.geometry import rotate
 from cluttergen_jax.physics.layout import Layout
 
-_CLEARANCE = 0.0005
+_CLEARANCE = 0.0003
 """Metres that outlines stay apart."""
 
 _FAN = 2 * np.pi * np.arange(32) / 32
