@@ -114,7 +114,7 @@ class SceneOptions(TypedDict, total=False):
     stability: str | Mapping[str, float | str] | StabilityConfig | None
     for_engine: OtherEngine | None
     setting: Setting
-    overhang: Overhang | None
+    overhang: Overhang
     clutter: str | Mapping[str, float] | None
     natural: bool
     sense: str
@@ -189,8 +189,7 @@ class SceneSpec(PlacementRequest):
       setting: default preset of the rules that are not given: "default", or "paper": a random order, nothing
         removed, no margin.
       overhang: how much of an object's footprint may reach beyond the edge of the support once it rests:
-        "any"; "half", at most 25 % (a uniform body tips at 50 %); or "none". If not given: "half" of natural
-        scenes, "any" of others.
+        "any"; "half", at most 25 % (a uniform body tips at 50 %); or "none".
       clutter: what scenes should have on average (methods "guided", "spread"): stack, number of objects on
         others; contained, number of objects inside of hollow others, such as bowls and pots; depth, sum over
         objects of those below; contacts, touching pairs; near, mean distance to the nearest object (m);
@@ -352,7 +351,6 @@ class SceneSpec(PlacementRequest):
         asked |= {"ruin_after": 0, "min_margin": 0.0}
         asked |= {name: recipe[name] for name in _LATER if name in recipe}
         asked |= {"relations_prefer": not rules.get("relations")}
-        asked |= {"overhang": "any"} if rules.get("natural") else {}
         unused = [] if rules.get("natural") else ["seat"]
         # A theme is recorded as the objects that it chose.
         unused += [] if rules.get("natural") or rules.get("poses") == "usual" else ["sense"]
@@ -476,7 +474,7 @@ class SceneSpec(PlacementRequest):
         region = self.region if isinstance(self.region, str) else ""
         is_asked["region"] = region == "outline" or ";" in region
         is_asked["surface"] = self.surface == "all" or bool({*",:"} & {*self.surface})
-        is_asked["overhang"] = self.overhang not in (None, "any")
+        is_asked["overhang"] = self.overhang != "any"
         is_asked["engine"] = self.engine in ("warp", "jax")
         wanted = [name for name, asked in is_asked.items() if asked]
         if wanted:
@@ -710,8 +708,6 @@ class SceneSpec(PlacementRequest):
         asked = {name: getattr(self, name) for name in RULES}
         rules = {name: value for name, value in asked.items() if value is not None}
         rules |= decided or {}
-        if self.natural and self.overhang is None:
-            rules["overhang"] = "half"
         rules["num_objects"] = num_objects
         rules["roles"] = parse_roles(str(self.roles))
         if not self.relations and isinstance(self.relations_prefer, bool):

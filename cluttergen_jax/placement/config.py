@@ -87,7 +87,7 @@ class PlacementRequest:
     min_margin: float | None = None
     ruin_after: int | None = None
     budget: int | None = None
-    overhang: Overhang | None = None
+    overhang: Overhang = "any"
     clutter: str | Mapping[str, float] | Clutter | None = None
     natural: bool = False
     sense: str = ""
@@ -130,7 +130,6 @@ class PlacementConfig(PlacementRequest):
     order: Order = "random"
     min_margin: float = 0.0
     ruin_after: int = 0
-    overhang: Overhang = "any"
     clutter: Clutter | None = None
     relations_prefer: bool = False
     roles: tuple[tuple[str, str], ...] = ()

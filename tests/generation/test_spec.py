@@ -164,16 +164,6 @@ def complaints(folder, *arguments):
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_natural_scenes_hang_over_an_edge_by_half_at_most_unless_asked():
-    overhang = {
-        natural: SceneSpec(natural=natural).problem_config("spread").placement.overhang
-        for natural in (False, True)
-    }
-    assert overhang == {False: "any", True: "half"}
-    asked = SceneSpec(natural=True, overhang="any")
-    assert asked.problem_config("spread").placement.overhang == "any"
-
-
 def test_a_seat_and_a_table_of_sense_that_nothing_reads_are_refused():
     with pytest.raises(ConfigError, match=r"seat = '\+x' of scenes that are not natural"):
         SceneSpec(seat="+x").problem_config("spread")
