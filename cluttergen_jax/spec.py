@@ -606,9 +606,10 @@ class SceneSpec(PlacementRequest):
             decided["most_stacked"] = math.ceil(stack or 0)
         if self.doors is None and are_to_be_closed(find_support(self.support)):
             decided["doors"] = "closed"
-            if self.budget is None and self.setting == "default":
-                # All begin again where one finds no room.
-                decided["budget"] = _MORE_PACKED * num_objects * self.max_attempts
+        is_packed = entry.limits_stack or "doors" in decided
+        if is_packed and self.budget is None and self.setting == "default":
+            # All begin again where one finds no room.
+            decided["budget"] = _MORE_PACKED * num_objects * self.max_attempts
         placement = self._placement(num_objects, decided)
         is_heap = entry.is_whole or self._asks_to_lean()
         is_native = is_heap or placement.crowd_targets is not None
