@@ -175,8 +175,8 @@ class SceneSpec(PlacementRequest):
         most. Of a pile: how often an object that comes to lie outside is let fall, at most.
       ruin_after: number of failed attempts in a row after which some placed objects, with all that lean on
         them, are removed and placed again; 0 removes nothing. If not given: the method's own, 0 for most.
-      budget: attempts of a scene in all; `max_attempts` for each object if not given, with "packed" twice as
-        many.
+      budget: attempts of a scene in all; `max_attempts` for each object if not given, with "packed" and
+        where doors are closed unasked twice as many.
       min_margin: minimum horizontal distance (m) from an object's centre of mass to the edge of its support;
         0 asks for nothing. If not given: 0.003.
       robust: require that an object, and whatever it touches, is also stable while gravity is tilted by 5

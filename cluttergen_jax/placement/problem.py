@@ -40,8 +40,8 @@ from cluttergen_jax.placement.room import (
     split_by_room,
 )
 from cluttergen_jax.placement.rules import Rules
-from cluttergen_jax.placement.surface_set import SurfaceSet
 from cluttergen_jax.placement.side_by_side import check_pairs
+from cluttergen_jax.placement.surface_set import SurfaceSet
 from cluttergen_jax.placement.types import Geometry, Orientations, Start
 from cluttergen_jax.placement.ways_in import (
     check_contained,

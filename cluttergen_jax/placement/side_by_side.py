@@ -1,4 +1,4 @@
-"""Which objects find no room side by side, whatever their places and turns: told before anything is placed."""
+"""Which objects find no room side by side, two by two: told before anything is placed."""
 
 from __future__ import annotations
 
@@ -54,16 +54,17 @@ def check_pairs(
     where = f"{1000 * placement.clearance:g} mm apart, in a region of {x:.2f} x {y:.2f} m"
     told = _told(is_apart, [each.name for each in objects])
     out = _left_out(is_apart, number)
-    hint = f"exclude={tuple(objects[k].name for k in out)!r}" if out else "a larger region"
     if share == 0:
+        hint = f"exclude={tuple(objects[k].name for k in out)!r}" if out else "a larger region"
         raise ConfigError(
             f"{number} objects of which some do not fit side by side, {where}: {told}",
             "objects that do, two by two",
             f"{hint}, fewer objects, or clutter='stack=1', by which one may lie on another",
         )
+    without = f"; without {', '.join(objects[k].name for k in out)} every two do" if out else ""
     return (
         f"of 100 draws of {number} objects {100 * share:.0f} at most fit side by side, {where}, as these "
-        f"do not: {told}; try {hint}",
+        f"do not: {told}{without}",
     )
 
 
@@ -127,9 +128,7 @@ def _sizes(corners: np.ndarray, turns: np.ndarray, room: np.ndarray) -> np.ndarr
     return np.where(fits[:, ::-1], size, np.inf).min(0)
 
 
-def _best_gap(
-    one: np.ndarray, other: np.ndarray, turns: np.ndarray, room: np.ndarray
-) -> float:
+def _best_gap(one: np.ndarray, other: np.ndarray, turns: np.ndarray, room: np.ndarray) -> float:
     """Metres between two objects that a region keeps apart as far as it can; less than 0 where they overlap.
 
     Args:
@@ -175,7 +174,7 @@ def _around() -> np.ndarray:
 
 
 def _share_that_fit(is_apart: np.ndarray, areas: np.ndarray, number: int) -> float:
-    """The share of draws of so many objects without such a pair, whose outlines f64[K] fill no more than can be."""
+    """The share of draws without such a pair, whose outlines f64[K], over the region, leave enough room."""
     order = np.random.default_rng(0).random((_DRAWS, len(areas))).argsort(1)[:, :number]
     has_pair = is_apart[order[:, :, None], order[:, None]].any((1, 2))
     return float((~has_pair & (areas[order].sum(1) <= MOST_PACKED)).mean())

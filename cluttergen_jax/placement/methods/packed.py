@@ -73,7 +73,7 @@ class Packed(LowestFit, eq=False):
         high = room - reach[:, [0, quarter]] - clearance
         low = -room + reach[:, [2 * quarter, 3 * quarter]] + clearance
         # Where all begin again, each goes into any of the corners.
-        has_failed = episode.counts.attempts.sum() > episode.slot
+        has_failed = episode.counts.attempts.sum() > episode.slot - self.rules.num_started
         any_corner = jax.random.randint(jax.random.fold_in(key, 5), (), 0, 4)
         which = jnp.where(has_failed, any_corner, episode.object_index[0] % 4)
         corner = jnp.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])[which]
