@@ -197,7 +197,9 @@ def _told(is_apart: np.ndarray, names: Sequence[str]) -> str:
     left = is_apart.copy()
     while left.any():
         one = int(left.sum(1).argmax())
-        told.append(f"{names[one]} with {' or '.join(names[k] for k in np.flatnonzero(left[one]))}")
+        told.append(
+            f"{names[one]} with {' or '.join(names[k] for k in np.flatnonzero(left[one]).tolist())}"
+        )
         left[one] = False
         left[:, one] = False
     more = f", and {len(told) - _MOST_NAMED} more" if len(told) > _MOST_NAMED else ""
