@@ -175,8 +175,8 @@ class SceneSpec(PlacementRequest):
         most. Of a pile: how often an object that comes to lie outside is let fall, at most.
       ruin_after: number of failed attempts in a row after which some placed objects, with all that lean on
         them, are removed and placed again; 0 removes nothing. If not given: the method's own, 0 for most.
-      budget: attempts of a scene in all; `max_attempts` for each object if not given, with "packed" twice as
-        many.
+      budget: attempts of a scene in all; `max_attempts` for each object if not given, with "packed" and
+        where doors are closed unasked twice as many.
       min_margin: minimum horizontal distance (m) from an object's centre of mass to the edge of its support;
         0 asks for nothing. If not given: 0.003.
       robust: require that an object, and whatever it touches, is also stable while gravity is tilted by 5
@@ -621,9 +621,10 @@ class SceneSpec(PlacementRequest):
             decided["most_stacked"] = math.ceil(stack or 0)
         if self.doors is None and are_to_be_closed(find_support(self.support)):
             decided["doors"] = "closed"
-            if self.budget is None and self.setting == "default":
-                # All begin again where one finds no room.
-                decided["budget"] = _MORE_PACKED * num_objects * self.max_attempts
+        is_packed = entry.limits_stack or "doors" in decided
+        if is_packed and self.budget is None and self.setting == "default":
+            # All begin again where one finds no room.
+            decided["budget"] = _MORE_PACKED * num_objects * self.max_attempts
         placement = self._placement(num_objects, decided)
         is_heap = entry.is_whole or self._asks_to_lean()
         is_native = is_heap or placement.crowd_targets is not None

@@ -40,6 +40,7 @@ from cluttergen_jax.placement.room import (
     split_by_room,
 )
 from cluttergen_jax.placement.rules import Rules
+from cluttergen_jax.placement.side_by_side import check_pairs
 from cluttergen_jax.placement.surface_set import SurfaceSet
 from cluttergen_jax.placement.types import Geometry, Orientations, Start
 from cluttergen_jax.placement.ways_in import (
@@ -153,7 +154,12 @@ def make_problem(
         )
     found = check_objects(config, pool)
     problem = compose(found.objects, found.support, found.config, standing)
-    return replace(problem, notes=found.notes)
+    notes = found.notes
+    is_flat = not config.polygon and config.change == "none" and len(found.support.asked) < 2
+    if config.placement.most_stacked == 0 and is_flat:
+        objects = problem.world.objects[: len(problem.world.objects) - len(standing)]
+        notes += check_pairs(problem.rules.geometry, objects, found.region, config.placement)
+    return replace(problem, notes=notes)
 
 
 class Chosen(NamedTuple):

@@ -136,15 +136,17 @@ def _area_of(region: Rectangle) -> float:
 def share_packed(
     objects: Sequence[ObjectAsset], placement: PlacementConfig, area: float
 ) -> tuple[float, float]:
-    """Outlines' area of what lies side by side, over the region's: in the mean, and of nearly every draw.
-
-    Outlines are convex, seen from above, and half the clearance wider.
-    """
-    outlines = [ConvexHull(asset.vertices[:, :2]) for asset in objects]
-    # Of an outline, `area` is the length and `volume` the area.
-    areas = np.array([each.volume + each.area * placement.clearance / 2 for each in outlines])
+    """Outlines' area of what lies side by side, over the region's: in the mean, and of nearly every draw."""
+    areas = outline_areas(objects, placement.clearance)
     number = max(placement.num_objects - (placement.most_stacked or 0), 1)
     return number * float(areas.mean()) / area, _nearly_every(areas, number) / area
+
+
+def outline_areas(objects: Sequence[ObjectAsset], clearance: float) -> np.ndarray:
+    """f64[K], square metres: of convex outlines, seen from above and half the clearance wider."""
+    outlines = [ConvexHull(asset.vertices[:, :2]) for asset in objects]
+    # Of an outline, `area` is the length and `volume` the area.
+    return np.array([each.volume + each.area * clearance / 2 for each in outlines])
 
 
 def _nearly_every(sizes: np.ndarray, number: int) -> float:

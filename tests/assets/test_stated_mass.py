@@ -8,6 +8,8 @@ from cluttergen_jax.assets.mass import MassProperties, choose_mass, combine_mass
 from cluttergen_jax.assets.object_files import read_object, write_object
 from cluttergen_jax.cli.pools import pool_table
 from cluttergen_jax.importing.readers import ReadOptions, read_source
+from cluttergen_jax.importing.readers.mjcf import read_mjcf
+from cluttergen_jax.importing.readers.source import ObjectFile
 from tests.helpers.shapes import slab
 
 HALF = np.array([0.05, 0.03, 0.02])
@@ -112,6 +114,9 @@ def test_mjcf_inertia_is_that_of_the_compiled_bodies(tmp_path):
     )
     (shape,) = read_source(path)
     assert shape.notes == ("frozen joints: 'pull' (slide) at 0.02 m",)
+    alone = read_mjcf(ObjectFile(path, "mjcf", "drawer", "drawer", body="drawer"))
+    assert "taken without 'chest', on which it hangs by 'pull'" in alone.notes[0]
+    assert not alone.joints
     body = shape.stated.body
     assert body.mass == pytest.approx(0.5)
     np.testing.assert_allclose(body.center, [1, 2.002, 2.996], atol=1e-9)

@@ -22,7 +22,8 @@ from cluttergen_jax.generation.sampler import set_up_bank
 from cluttergen_jax.generation.sources.replay import replay, replay_context_of
 from cluttergen_jax.learning.methods import sampler_of
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.problem import ProblemConfig
+from cluttergen_jax.placement.outlines import directions
+from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 from cluttergen_jax.placement.region import make_region
 from cluttergen_jax.placement.rollout import Rollout
 from cluttergen_jax.placement.room import (
@@ -32,6 +33,7 @@ from cluttergen_jax.placement.room import (
     share_packed,
     split_by_room,
 )
+from cluttergen_jax.placement.side_by_side import pairs_without_room
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.types import Verdict
 from tests.helpers.worlds import box, prism
@@ -202,6 +204,39 @@ def test_what_finds_no_room_side_by_side_is_refused_before_anything_is_placed():
     mean, nearly_all = share_packed(tiles, fewer, 0.45 * 0.32)
     assert mean == pytest.approx(nearly_all)
     assert mean == pytest.approx(most * (0.01 + 0.4 * 0.0015) / (0.45 * 0.32))
+
+
+def corners_of(*sizes):
+    """f64[K, 1, D, 2]: of rectangles, as `Outlines` has them."""
+    half = np.array(sizes)[:, None] / 2
+    return (np.where(directions() >= 0, 1.0, -1.0) * half)[:, None]
+
+
+def test_pairs_that_find_no_room_side_by_side_are_found():
+    half = np.array([0.225, 0.16])
+    sizes = ((0.33, 0.125), (0.245, 0.185), (0.185, 0.18), (0.05, 0.05))
+    found = pairs_without_room(corners_of(*sizes), half, 0.003)
+    # 0.125 + 0.185, three gaps and small turns are more than 0.32; 0.125 + 0.18 are not.
+    assert np.argwhere(np.triu(found)).tolist() == [[0, 1]]
+    assert not pairs_without_room(corners_of(*sizes), half, 0.001).any()
+    # Turned by 45 degrees two may have room where none of their boxes has.
+    wide = pairs_without_room(corners_of((0.38, 0.02), (0.13, 0.13)), np.array([0.15, 0.15]), 0.001)
+    assert not wide[0, 1]
+
+
+def test_packed_names_what_does_not_fit_side_by_side(tmp_path):
+    long = [box(f"long-{i}", (0.16, 0.085 + 0.001 * i, 0.02)) for i in range(2)]
+    objects = (*long, *(box(f"small-{i}", (0.02, 0.02, 0.02)) for i in range(2)))
+    pool = str(write_pool(tmp_path / "mixed", Pool("mixed", objects)))
+    spec = cg.SceneSpec(pool=pool, support="tray", method="packed", num_objects=2)
+    (note,) = make_problem(spec.problem_config("packed")).notes
+    assert "of 100 draws of 2 objects 8" in note
+    assert "as these do not: long-0 with long-1; without long-0 every two do" in note
+    both = cg.SceneSpec(
+        pool=pool, objects=("long-0", "long-1"), support="tray", method="packed", num_objects=2
+    )
+    with pytest.raises(ConfigError, match=r"not fit side by side, 3 mm apart.*long-0 with long-1"):
+        make_problem(both.problem_config("packed"))
 
 
 def test_packed_takes_the_target_stack_alone():

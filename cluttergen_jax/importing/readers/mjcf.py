@@ -36,6 +36,7 @@ from cluttergen_jax.importing.readers.mjcf_compile import NO_MASS, compile_with_
 from cluttergen_jax.importing.readers.model import (
     MAX_PARTS,
     Model,
+    alone_note,
     check_joints,
     frozen_note,
     opened_joint,
@@ -654,7 +655,13 @@ def read_mjcf(
         )
     of_pictures = (*of_pictures, *(note for geom in roles.surface for note in geom.notes()))
     colliding = tuple(geom.mesh(16) for geom in roles.colliding)
-    notes = (*frozen_note(_frozen_joints(model, data, chosen)), *of_joints, *roles.notes)
+    # One body that was chosen stands still itself.
+    movable = [i for i in chosen if i != root or not body]
+    frozen = frozen_note(_frozen_joints(model, data, movable))
+    parent = int(model.body_parentid[root])
+    own = _own_joints(model, root) if body else ()
+    alone = alone_note(own, model.body(parent).name if parent else "")
+    notes = (*frozen, *alone, *of_joints, *roles.notes)
     if root and not body and not bodies and (beside := len(_in_world(model))):
         notes += (f"left out, as they lie in the world beside the body: {beside} geoms",)
     if kilograms := _mass_of(path, [geom.index for geom in roles.unseen]):
@@ -664,8 +671,6 @@ def read_mjcf(
     if is_usable and 0 < len(colliding) <= MAX_PARTS:
         parts = tuple(Mesh.points(each.vertices) for each in colliding)
     weighed = [i for i in chosen if model.body_mass[i] != NO_MASS]
-    # One body that was chosen stands still itself.
-    movable = [i for i in chosen if i != root or not body]
     return Model(
         pieces=[geom.piece(max_side) for geom in roles.surface],
         parts=parts,
@@ -704,6 +709,12 @@ def _frozen_joints(
             is_ball = kind == _JOINT.mjJNT_BALL
             value = 0.0 if is_ball else float(data.qpos[model.jnt_qposadr[joint]])
             yield (model.joint(joint).name, _MOVABLE[kind], value, kind != _JOINT.mjJNT_SLIDE)
+
+
+def _own_joints(model: mujoco.MjModel, body: int) -> list[str]:
+    """Names of the joints by which a body hangs on another, those aside that leave it free."""
+    own = np.flatnonzero(model.jnt_bodyid == body).tolist()
+    return [model.joint(k).name for k in own if mujoco.mjtJoint(int(model.jnt_type[k])) in _MOVABLE]
 
 
 def _hinges_and_slides(model: mujoco.MjModel) -> list[int]:

@@ -61,6 +61,23 @@ def frozen_note(joints: Iterable[tuple[str, str, float, bool]]) -> tuple[str, ..
     return (f"frozen joints: {', '.join(described)}",) if described else ()
 
 
+def alone_note(joints: Sequence[str], parent: str) -> tuple[str, ...]:
+    """One note on the joints by which a body hangs on another, and which it loses where it is taken alone.
+
+    Args:
+      parent: the other one's name; "" for the world, or where it has none.
+    """
+    if not joints:
+        return ()
+    names = ", ".join(map(repr, joints))
+    if not parent:
+        return (f"it keeps no joint {names}, which moves it as a whole",)
+    return (
+        f"taken without {parent!r}, on which it hangs by {names}: it keeps no such joint, which "
+        f"#{parent} behind the file does",
+    )
+
+
 def opened_joint(
     name: str, value: float, lower: float, upper: float, is_turn: bool
 ) -> tuple[float, tuple[str, ...]]:

@@ -28,6 +28,7 @@ from cluttergen_jax.importing.readers.links import (
 from cluttergen_jax.importing.readers.materials import GREY
 from cluttergen_jax.importing.readers.model import (
     Model,
+    alone_note,
     check_joints,
     frozen_note,
     opened_joint,
@@ -286,6 +287,22 @@ class Joints:
             found += [child for each in own if (child := self._link_of(each, "child")) not in found]
         return found
 
+    def frozen(self, body: str) -> tuple[str, ...]:
+        """What is said of joints that stay as they are, of all links or of one that is taken alone."""
+        movable = [joint for joint in self._joints if joint.get("type") in _MOVABLE]
+        own: list[Element] = []
+        if body:
+            links = self.links_below(body)
+            movable = [joint for joint in movable if self._link_of(joint, "child") in links]
+            own = [joint for joint in movable if self._link_of(joint, "child") == body]
+        frozen = frozen_note(
+            (joint.get("name", ""), kind, self.value(joint), kind != "prismatic")
+            for joint in movable
+            if joint not in own and (kind := joint.get("type", ""))
+        )
+        parent = self._link_of(own[0], "parent") if own else ""
+        return (*frozen, *alone_note([joint.get("name", "") for joint in own], parent))
+
     def _link_of(self, joint: Element, tag: str) -> str:
         link = joint.find(tag)
         if link is None or not link.get("link"):
@@ -392,7 +409,7 @@ def read_urdf(
         own = joints.links_below(body)
         links = [link for link in links if link.name in own]
     model = rigid(
-        links, surfaces, _Looks(_materials(robot), surfaces).of, _notes(robot, joints), scale
+        links, surfaces, _Looks(_materials(robot), surfaces).of, joints.frozen(body), scale
     )
     names = [link.name for link in links]
     moved = {link.name: link_mass(path, link) for link in links if link.name != body}
@@ -425,15 +442,6 @@ def _materials(robot: Element) -> dict[str, Element]:
     defined = [each for each in (*robot.findall("material"), *robot.iter("material")) if len(each)]
     # The first of a name holds.
     return {each.get("name", ""): each for each in reversed(defined) if each.get("name")}
-
-
-def _notes(robot: Element, joints: Joints) -> tuple[str, ...]:
-    movable = [joint for joint in robot.findall("joint") if joint.get("type") in _MOVABLE]
-    return frozen_note(
-        (joint.get("name", ""), kind, joints.value(joint), kind != "prismatic")
-        for joint in movable
-        if (kind := joint.get("type", ""))
-    )
 
 
 def _global_scaling(path: Path) -> float:

@@ -72,7 +72,11 @@ class Packed(LowestFit, eq=False):
         quarter = NUM_DIRECTIONS // 4
         high = room - reach[:, [0, quarter]] - clearance
         low = -room + reach[:, [2 * quarter, 3 * quarter]] + clearance
-        corner = jnp.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])[episode.object_index[0] % 4]
+        # Where all begin again, each goes into any of the corners.
+        has_failed = episode.counts.attempts.sum() > episode.slot - self.rules.num_started
+        any_corner = jax.random.randint(jax.random.fold_in(key, 5), (), 0, 4)
+        which = jnp.where(has_failed, any_corner, episode.object_index[0] % 4)
+        corner = jnp.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])[which]
         turn, xy = _places(key_place, own, placed, is_there, low, high, clearance)
 
         def cost_of_corner(xy: Array) -> Array:
