@@ -226,8 +226,8 @@ class SceneSpec(PlacementRequest):
       clearance: metres between the outlines of objects, and to the region's sides, that "packed" leaves;
         0.003 if not given.
       crowd: how far the objects of a finished scene are drawn together: 0, they stay where they were placed;
-        0.5, neighbours touch from the side, the same as clutter="side=1"; 1, a heap in which many lean, as
-        clutter="side=1,lean=0.4". In natural scenes nothing climbs. Native engine only.
+        0.5, neighbours touch from the side, the same as clutter="side=1"; 1, a heap in which what is tall
+        leans, as clutter="side=1,lean=0.4". In natural scenes nothing climbs. Native engine only.
       doors: "closed": doors and drawers of the support stand open while objects are placed, and are closed
         then; a scene succeeds if they close, to within 1 degree or 2 mm, and all objects stand undisturbed.
         "open": they stay as they stand. If not given: those that `import --support` opened to look behind

@@ -53,7 +53,7 @@ from cluttergen_jax.scene.bank.stats import ClutterTally, Totals
 from cluttergen_jax.scene.bank.table import table_of
 from cluttergen_jax.scene.bank.writer import Objects, names_of
 from cluttergen_jax.schema import Record
-from cluttergen_jax.spec import SceneSpec
+from cluttergen_jax.spec import MOST_UNASKED, SceneSpec
 
 _FEW = 0.5
 _OFTEN = 0.1
@@ -129,7 +129,7 @@ def write_bank(
         names_of(problem.world.objects) if shelves is None else shelves.pool.__getitem__
     )
     named = problem.world.objects if shelves is None else shelves.pool.facts
-    notes = tuple(_notes(problem, named))
+    notes = tuple(_notes(problem, named, spec.theme))
     with BankWriter(
         out,
         recipe,
@@ -215,7 +215,7 @@ def _advice(method: str, totals: Totals, failed: Sequence[RelationFailures]) -> 
     return f"advice     few scenes succeed with {method} here; try {better}"
 
 
-def _notes(problem: Problem, named: Sequence[Named]) -> Iterator[str]:
+def _notes(problem: Problem, named: Sequence[Named], theme: str) -> Iterator[str]:
     """What is to be known before the first scene; `named` are all objects that may be drawn."""
     world = problem.world
     placement = problem.config.placement
@@ -241,6 +241,9 @@ def _notes(problem: Problem, named: Sequence[Named]) -> Iterator[str]:
                 f"note: sense: {len(free)} objects without a known label are free, to be anywhere: "
                 f"{first_names(free, _MOST_NAMED)}"
             )
+    if theme and len(named) < MOST_UNASKED:
+        names = first_names([each.name for each in named], _MOST_NAMED)
+        yield f"note: theme {theme!r}: of this pool {len(named)} belong to it: {names}"
     if crowded > 1:
         yield f"note: it is tight: the smallest objects alone cover {crowded:.1f} times the region's area"
 

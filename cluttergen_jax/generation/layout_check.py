@@ -19,6 +19,7 @@ from msgspec import Meta
 from cluttergen_jax.assets import ObjectAsset, find_support
 from cluttergen_jax.assets.facts import ObjectFacts, parse_condition
 from cluttergen_jax.assets.pool import ALL, Pool, find_pool, list_pools
+from cluttergen_jax.assets.sense import read_sense
 from cluttergen_jax.config import Poses
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest, first_names
 from cluttergen_jax.learning.methods import DEFAULT_METHOD
@@ -141,11 +142,19 @@ class LayoutFields(msgspec.Struct, forbid_unknown_fields=True):
     others: Annotated[
         int,
         _about(
-            "How many further objects stand anywhere besides: any of the pool, fitting or not; better name "
-            "what belongs there in `objects`.",
+            "How many further objects stand anywhere besides: any of the pool, fitting or not, unless there "
+            "is a `theme`; better name what belongs there in `objects`.",
             ge=0,
         ),
     ] = 0
+    theme: Annotated[
+        str,
+        _about(
+            "The occasion to which the `others` belong: breakfast, dinner, desk, cooking, tools, bathroom or "
+            "play; any if empty.",
+            examples=["breakfast"],
+        ),
+    ] = ""
     poses: Annotated[
         Poses,
         _about("How objects come to stand: upright; resting, also lying or tipped over; any."),
@@ -189,6 +198,7 @@ _MEANT = {
     **dict.fromkeys(("name", "description", "scene"), "title"),
     **dict.fromkeys(("table", "surface", "furniture"), "support"),
     **dict.fromkeys(("extra", "extras", "num_others", "distractors"), "others"),
+    **dict.fromkeys(("occasion", "context"), "theme"),
 }
 
 
@@ -334,7 +344,7 @@ def check_text(data: bytes, options: Mapping[str, Any], found: Pool | None = Non
     spec = None
     while spec is None:
         try:
-            asked = replace(spec_of_layout(rest), **request)
+            asked = replace(spec_of_layout(rest, found), **request)
             notes = _room_notes(asked, rest, found)
             spec = asked
         except ClutterGenError as error:
@@ -369,7 +379,7 @@ def _sound_part(layout: LayoutFields, faults: Iterable[LayoutFault]) -> LayoutFi
     objects = {name: meant for name, meant in given.items() if f"objects.{name}" not in paths}
     lost = layout.objects.keys() - objects.keys()
     usual = LayoutFields({})
-    plain = ("region", "others", "poses", "crowd", "natural")
+    plain = ("region", "others", "theme", "poses", "crowd", "natural")
     values = {name: getattr(usual, name) for name in plain if name in paths}
     is_odd = any(path.partition(".")[0] == "clutter" for path in paths)
     return msgspec.structs.replace(
@@ -719,6 +729,8 @@ def _number_faults(layout: LayoutFields, num_known: int) -> Iterator[LayoutFault
         given = f"{layout.others} of a pool of {num_known} objects"
         allowed = f"0 where the pool has more than {MOST_ON_SHELF}"
         yield LayoutFault("others", given, allowed, "naming them in `objects`")
+    if layout.theme and not layout.others:
+        yield LayoutFault("theme", f"{layout.theme!r} with no `others`", "with others", "others: 4")
     for name, value in layout.clutter.items():
         try:
             Clutter.of({name: value})
@@ -737,18 +749,27 @@ def _place_of_error(error: ClutterGenError, layout: LayoutFields) -> str:
             return f"objects.{name}"
     if re.search(r"\bcrowd\b|drawn together", error.given):
         return "crowd"
-    fields = ("clutter", "relations", "poses", "objects", "region", "support")
+    fields = ("theme", "clutter", "relations", "poses", "objects", "region", "support")
     return next((field for field in fields if field in error.given), "")
 
 
-def spec_of_layout(layout: LayoutFields) -> SceneSpec:
-    """The request that a layout without faults is (ConfigError: it has one)."""
+def spec_of_layout(layout: LayoutFields, found: Pool | None = None) -> SceneSpec:
+    """The request that a layout without faults is (ConfigError: it has one).
+
+    Args:
+      found: the layout's pool, where it is at hand or another one is meant.
+    """
     relations = tuple(map(Relation.parse, layout.relations))
     conditions = conditions_of(tuple(layout.objects.items()), relations)
     arranged = parse_arrangements(tuple(layout.arrangements))
     # Only what may be placed is compiled into the world.
     meant = (*conditions.values(), *(each.condition for each in arranged))
-    objects = () if layout.others else tuple(dict.fromkeys(meant))
+    objects = tuple(dict.fromkeys(meant))
+    if layout.theme:
+        facts = (found or find_pool(layout.pool)).facts
+        objects += read_sense().in_theme(layout.theme, facts, layout.pool)
+    elif layout.others:
+        objects = ()
     return SceneSpec(
         pool=layout.pool,
         objects=objects,

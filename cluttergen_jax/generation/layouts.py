@@ -47,7 +47,8 @@ def read_layout(layout: str | Path, pool: str | Path | None = None) -> SceneSpec
 
     A file has `objects`, names of your own and which objects of the pool each may stand for; `relations`
     between them and other objects of the pool; and, if wanted, `title`, `pool`, `support`, `region`, `poses`,
-    `arrangements`, `clutter`, `crowd`, `natural` and `others`, the number of further objects of the pool.
+    `arrangements`, `clutter`, `crowd`, `natural`, `others`, the number of further objects of the pool, and
+    `theme`, the occasion to which those belong.
     Where the pool has too few objects for the names, they come more than once. `layout_schema` describes
     each field.
 

@@ -268,6 +268,8 @@ def test_relations_that_can_hold_together_are_let_be(tmp_path, relations):
         ("objects: {a: mug}\npool: dinning", "pool", "'dining'"),
         ("objects: {a: mug}\nsupport: tabel", "support", "'table'"),
         ("objects: {a: mug}\nothers: 200", "others", "up to 128"),
+        ("objects: {a: mug}\nothers: 2\ntheme: brekfast", "theme", "'breakfast'"),
+        ("objects: {a: mug}\ntheme: breakfast", "theme", "others: 4"),
         ("objects: {a: mug}\nclutter: {near: 3}", "clutter.near", "0 to 1"),
         ("objects: {a: mug}\nregion: 3x3", "region", "region"),
         ("objects: {a: 'mass<x'}", "objects.a", "a number"),
@@ -305,6 +307,14 @@ def test_options_go_before_what_the_layout_says(tmp_path):
     layout = {"objects": {"a": "laptop"}, "pool": "nowhere"}
     assert paths(check(tmp_path, layout)) == ["pool"]
     assert check(tmp_path, layout, pool="study").spec.pool == "study"
+
+
+def test_others_of_a_theme_belong_to_it_and_what_is_named_may_be_anything(tmp_path):
+    layout = {"objects": {"a": "bottle"}, "others": 4, "theme": "breakfast"}
+    spec = check(tmp_path, layout | {"pool": "dining"}).spec
+    assert spec.num_objects == 5
+    assert {"bottle", "mug", "fork"} <= {*spec.objects}
+    assert "pepper_mill" not in spec.objects
 
 
 def test_how_a_layout_is_cluttered_becomes_the_request(tmp_path):

@@ -108,12 +108,13 @@ class Totals:
           num_new, seconds: scenes made just now and how long that took, for the rate; 0 leaves it out.
         """
         rested = max(self.num_rested, 1)
+        each = f"{self.own_attempts / rested:.2f} per placed object"
         total = max(sum(self.verdicts.values()), 1)
         lines = [
             f"scenes     {self.scenes}, of which {self.success} succeed ({self.success / self.scenes:.1%}): "
             "every object placed, and all stand together in the last check",
             f"filled     {self.filled} ({self.filled / self.scenes:.1%}) before the last check",
-            f"attempts   {self.attempts}, {self.own_attempts / rested:.2f} per placed object",
+            f"attempts   {self.attempts}, {each if self.num_rested else 'no object placed'}",
             f"rest       after {self.rest_steps / rested:.0f} steps of 1/240 s in the mean",
         ]
         rejected = [
