@@ -102,7 +102,7 @@ class CrowdRequest(NamedTuple):
       side: f32[n], pairs that are to touch from the side, for each object.
       lean: f32[n], share of the objects that are to lean.
       may_tip: bool[n], what tips over may stay.
-      is_kept: bool[n], objects keep what they lie on.
+      is_kept: bool[n], objects keep what they lie on, and how they are turned.
     """
 
     poses: np.ndarray
@@ -159,7 +159,9 @@ class Crowder(RestRounds):
         sims.release(self.poses[rows], is_member, never_sleeps=is_member)
         with sims.no_friction(TOGETHER.drag, TOGETHER.turning_drag, TOGETHER.time_share):
             self._pull(rows, ids, middles, TOGETHER, self._has_sides)
-        with sims.no_friction(PRESS.drag, PRESS.turning_drag):
+        is_kept = self.asked.is_kept.any()
+        turning_drag = TOGETHER.turning_drag if is_kept else PRESS.turning_drag
+        with sims.no_friction(PRESS.drag, turning_drag):
             self._pull(rows, ids, middles, PRESS)
         if (leaning := np.flatnonzero(self.asked.lean[rows] > 0)).size:
             with sims.lower_friction(1.0, LEAN.drag, LEAN.turning_drag):
