@@ -83,7 +83,7 @@ def test_every_role_has_its_own_object_that_fits():
 
 
 def test_too_few_objects_for_the_roles_are_refused():
-    with pytest.raises(ConfigError, match="2 roles"):
+    with pytest.raises(ConfigError, match="2 different objects"):
         RelatedObjects.of(
             parse_relations(["a on b"]), parse_roles("a=mug; b=mug"), facts("mug", "jar")
         )
