@@ -551,8 +551,8 @@ class SceneSpec(PlacementRequest):
           found: the pool, where it is at hand.
 
         Raises:
-          ConfigError: more objects are asked for than there are, there is no such engine, or nobody
-            sits at the seat.
+          ConfigError: more objects are asked for than there are, there is no such engine, or a
+            seat is given for scenes that are not natural.
           PoolError: there is no such pool or support.
         """
         from cluttergen_jax.assets.doors import are_to_be_closed

@@ -370,7 +370,7 @@ def _sound_part(layout: LayoutFields, faults: Iterable[LayoutFault]) -> LayoutFi
     """A layout without what faults are about, so that the rest can be checked."""
     paths = {fault.path for fault in faults}
 
-    def kept(field: str) -> list[str]:
+    def sound_texts(field: str) -> list[str]:
         texts = () if field in paths else getattr(layout, field)
         is_well = [f"{field}[{place}]" not in paths for place in range(len(texts))]
         return [text for text, well in zip(texts, is_well, strict=True) if well]
@@ -387,10 +387,10 @@ def _sound_part(layout: LayoutFields, faults: Iterable[LayoutFault]) -> LayoutFi
         objects=objects,
         relations=[
             text
-            for text in kept("relations")
+            for text in sound_texts("relations")
             if text != _UNREAD and not lost & {*text.partition(":")[0].split()}
         ],
-        arrangements=kept("arrangements"),
+        arrangements=sound_texts("arrangements"),
         clutter=usual.clutter if is_odd else layout.clutter,
         **values,
     )

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from cluttergen_jax.geometry import rotate, rotate_in_plane
-from cluttergen_jax.physics.outlines import gaps_in_plan, moved_together, reaches_of_boxes
+from cluttergen_jax.physics.convex_outlines import gaps_in_plan, move_together, reaches_of_boxes
 from cluttergen_jax.physics.resting import RestRounds, Stage, reach_of
 from cluttergen_jax.types import Verdict
 
@@ -206,7 +206,7 @@ class Crowder(RestRounds):
         stays = (is_same & (is_member & ~is_moving)[:, None]).any(-1)
         middles = np.where(stays[..., None], places, middles)
         moved = start.copy()
-        moved[..., :2] = moved_together(
+        moved[..., :2] = move_together(
             places, reaches, is_same, is_member, middles, self._boxes(rows), _MOVES
         )
         for row, before, after, there in zip(rows, start, moved, is_member, strict=True):

@@ -22,6 +22,7 @@ import numpy as np
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.geometry import rotate
 from cluttergen_jax.physics import stability
+from cluttergen_jax.physics.convex_outlines import ConvexOutlines
 from cluttergen_jax.physics.crowds import Crowder, CrowdRequest
 from cluttergen_jax.physics.doors import DoorCloser
 from cluttergen_jax.physics.host import (
@@ -37,7 +38,6 @@ from cluttergen_jax.physics.host import (
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.margin import MIN_SHIFT, TOUCH_REACH, UNDER_REACH, OverlapProbe
-from cluttergen_jax.physics.outlines import Outlines
 from cluttergen_jax.physics.piles import Piler, PileRequest, walled_simulations
 from cluttergen_jax.physics.simulations import Motion, Simulations, sleeping_model
 from cluttergen_jax.physics.standing import displacement, verdict_of_scene
@@ -120,9 +120,9 @@ class NativePhysics(HostPhysics):
         return OverlapProbe(self.layout, reach=TOUCH_REACH)
 
     @cached_property
-    def outlines(self) -> Outlines:
+    def outlines(self) -> ConvexOutlines:
         """Of the objects, in plan."""
-        return Outlines(self.layout)
+        return ConvexOutlines(self.layout)
 
     @cached_property
     def under_probe(self) -> OverlapProbe:

@@ -473,7 +473,7 @@ class EpisodeRecorder:
         for before, later, transition in () if self.sampler.is_whole else shown:
             proposals = self._proposals(before, seed, num_proposals)
             attempt = Attempt.of(before, transition, transition.settling, proposals)
-            attempts.append(replace(attempt, gathered=self._gathered(attempt, later)))
+            attempts.append(replace(attempt, gathered=self._poses_after_crowd(attempt, later)))
         return Replay(
             title=title or f"seed {seed}, scene {index}",
             objects=self.world.objects,
@@ -491,7 +491,7 @@ class EpisodeRecorder:
             seat=seat_of(self.sampler.rules.config),
         )
 
-    def _gathered(self, attempt: Attempt, after: Any) -> np.ndarray | None:
+    def _poses_after_crowd(self, attempt: Attempt, after: Any) -> np.ndarray | None:
         """f32[K, 7]: see `Attempt.gathered`."""
         if not self.sampler.rules.is_crowded or not attempt.is_stable:
             return None

@@ -166,7 +166,7 @@ def _check_side_by_side(objects: Sequence[ObjectAsset], config: ProblemConfig, a
     stacked = placement.most_stacked or 0
     number = placement.num_objects
     most = int(USUALLY_PACKED / mean * max(number - stacked, 1)) + stacked
-    fewer = f"num_objects={most}, " if most else ""
+    fewer = f"num_objects={most}, or " if most else ""
     raise ConfigError(
         f"{number} objects side by side, whose outlines cover {mean:.1f} times the region in the mean",
         f"{MOST_PACKED:g} times at most; beyond {USUALLY_PACKED:g}, scenes begin to fail",
@@ -291,17 +291,22 @@ def check_room(
     large = [each for each in objects if not _fits(each, room, rim, is_upright)]
     if not large:
         return
-    names = [each.name for each in large]
     sizes = [f"{each.name} ({_size_text(2 * np.asarray(each.half_extents))})" for each in large]
     more = f" and {len(sizes) - _MOST_NAMED} more" if len(sizes) > _MOST_NAMED else ""
     where = f"a region of {_size_text(room)}"
     if rim > 0:
         where = f"support {support.name!r}, {_size_text(np.append(room, rim))} inside its walls"
     how = "as they stand" if is_upright else "whichever way they lie"
+    boxes = 2 * np.array([each.half_extents for each in large])
+    plans = np.sort(boxes[:, :2] if is_upright else np.sort(boxes, axis=1)[:, 1:], axis=1)[:, ::-1]
+    width, depth = np.ceil(100 * plans.max(0) + 1) / 100
+    larger = f"region='{width:.2f}x{depth:.2f}'"
+    if rim > 0:
+        larger = f"support='bin-{width:.2f}x{depth:.2f}x{rim:.2f}'"
     raise ConfigError(
         f"objects that are too large for {where}, {how}: {', '.join(sizes[:_MOST_NAMED])}{more}",
         "smaller ones, or a larger support or region",
-        "exclude=" + repr(tuple(names)),
+        larger,
     )
 
 

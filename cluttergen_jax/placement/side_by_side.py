@@ -1,9 +1,9 @@
-"""Which objects find no room side by side, two by two: told before anything is placed."""
+"""Which pairs of objects find no room side by side in a region: checked before anything is placed."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -52,19 +52,19 @@ def check_pairs(
     share = _share_that_fit(is_apart, areas, number)
     x, y = 2 * half
     where = f"{1000 * placement.clearance:g} mm apart, in a region of {x:.2f} x {y:.2f} m"
-    told = _told(is_apart, [each.name for each in objects])
-    out = _left_out(is_apart, number)
+    pairs = _pairs_text(is_apart, [each.name for each in objects])
+    out = _to_leave_out(is_apart, number)
     if share == 0:
         hint = f"exclude={tuple(objects[k].name for k in out)!r}" if out else "a larger region"
         raise ConfigError(
-            f"{number} objects of which some do not fit side by side, {where}: {told}",
+            f"{number} objects of which some do not fit side by side, {where}: {pairs}",
             "objects that do, two by two",
             f"{hint}, fewer objects, or clutter='stack=1', by which one may lie on another",
         )
     without = f"; without {', '.join(objects[k].name for k in out)} every two do" if out else ""
     return (
         f"of 100 draws of {number} objects {100 * share:.0f} at most fit side by side, {where}, as these "
-        f"do not: {told}{without}",
+        f"do not: {pairs}{without}",
     )
 
 
@@ -180,27 +180,27 @@ def _share_that_fit(is_apart: np.ndarray, areas: np.ndarray, number: int) -> flo
     return float((~has_pair & (areas[order].sum(1) <= MOST_PACKED)).mean())
 
 
-def _left_out(is_apart: np.ndarray, number: int) -> list[int]:
-    """Those without which no pair is left, of most pairs first; nothing where too few would be left."""
-    out: list[int] = []
-    left = is_apart.copy()
-    while left.any():
-        out.append(int(left.sum(1).argmax()))
-        left[out[-1]] = False
-        left[:, out[-1]] = False
-    return sorted(out) if len(left) - len(out) >= number else []
-
-
-def _told(is_apart: np.ndarray, names: Sequence[str]) -> str:
-    """Each object with those beside which it finds no room, of most pairs first."""
-    told = []
+def _in_most_pairs_first(is_apart: np.ndarray) -> Iterator[tuple[int, list[int]]]:
+    """Objects, of most pairs first, each with the others of its pairs that were not named before."""
     left = is_apart.copy()
     while left.any():
         one = int(left.sum(1).argmax())
-        told.append(
-            f"{names[one]} with {' or '.join(names[k] for k in np.flatnonzero(left[one]).tolist())}"
-        )
+        yield one, np.flatnonzero(left[one]).tolist()
         left[one] = False
         left[:, one] = False
-    more = f", and {len(told) - _MOST_NAMED} more" if len(told) > _MOST_NAMED else ""
-    return ", ".join(told[:_MOST_NAMED]) + more
+
+
+def _to_leave_out(is_apart: np.ndarray, number: int) -> list[int]:
+    """Those without which no pair is left; nothing where too few would be left."""
+    out = sorted(one for one, _ in _in_most_pairs_first(is_apart))
+    return out if len(is_apart) - len(out) >= number else []
+
+
+def _pairs_text(is_apart: np.ndarray, names: Sequence[str]) -> str:
+    """Each object with those beside which it finds no room, of most pairs first."""
+    texts = [
+        f"{names[one]} with {' or '.join(names[k] for k in others)}"
+        for one, others in _in_most_pairs_first(is_apart)
+    ]
+    more = f", and {len(texts) - _MOST_NAMED} more" if len(texts) > _MOST_NAMED else ""
+    return ", ".join(texts[:_MOST_NAMED]) + more

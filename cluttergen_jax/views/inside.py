@@ -55,11 +55,11 @@ def inside_camera(
         view = replace(picture.view, azimuth=azimuth, elevation=elevation)
         return fit_camera(points, view, width, height)
 
-    def seen(place: tuple[float, float]) -> float:
+    def visible_sum(place: tuple[float, float]) -> float:
         _, instances = sensor.sense(poses, camera(*place, *_LOOK))
         return sum(each.visible_share for each in instances)
 
-    best = max(product(_TURNS, _ELEVATIONS), key=seen)
+    best = max(product(_TURNS, _ELEVATIONS), key=visible_sum)
     return camera(*best, picture.width, picture.height)
 
 

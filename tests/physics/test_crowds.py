@@ -7,10 +7,10 @@ import pytest
 
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.physics.convex_outlines import gaps_in_plan, move_together, reaches_of_boxes
 from cluttergen_jax.physics.crowds import LEANS
 from cluttergen_jax.physics.margin import TOUCH_REACH, UNDER_REACH, OverlapProbe
 from cluttergen_jax.physics.native import NativePhysics
-from cluttergen_jax.physics.outlines import gaps_in_plan, moved_together, reaches_of_boxes
 from cluttergen_jax.placement.world import make_world
 from cluttergen_jax.types import Verdict
 from tests.helpers.worlds import TOP, box, prism
@@ -145,7 +145,7 @@ def test_what_is_moved_together_comes_near_and_never_overlaps(engine):
     asked = asked_for(4, side=0.0)
     poses = asked[0].astype(np.float64)
     probe = OverlapProbe(engine.layout)
-    moved = moved_together(
+    moved = move_together(
         poses[..., :2],
         engine.outlines.reaches(poses),
         np.tile(np.eye(NUMBER, dtype=bool), (4, 1, 1)),

@@ -108,7 +108,9 @@ def test_what_cannot_lie_inside_a_container_is_refused_by_name_and_size():
     assert "support 'bin', 0.20 x 0.16 x 0.10 m inside its walls" in told.value.given
     assert "board (0.24 x 0.20 x 0.02 m), rod (0.34 x 0.02 x 0.02 m)" in told.value.given
     # The advice works.
-    assert told.value.hint == "exclude=('board', 'rod')"
+    assert told.value.hint == "support='bin-0.35x0.21x0.10'"
+    larger = find_support("bin-0.35x0.21x0.10")
+    check_room(objects, larger, larger.region, rules, is_piled=True)
     check_room([objects[0], objects[3]], support, support.region, rules, is_piled=True)
     # Upright, a plate has to lie flat; a rod that stands is no longer one that lies.
     with pytest.raises(ConfigError, match=r"as they stand: board .*, rod .*, plate "):
@@ -138,7 +140,7 @@ def test_objects_that_are_too_large_are_refused_by_name_or_left_out(tmp_path, op
     } | options
     named = asked | {"objects": ("cube", "ball", "slab")}
     with pytest.raises(
-        ConfigError, match=r"slab \(0.40 x 0.40 x 0.02 m\).*Try: exclude=\('slab',\)"
+        ConfigError, match=r"slab \(0.40 x 0.40 x 0.02 m\).*Try: support='bin-0.41x0.41x0.10'"
     ):
         cg.make_sampler(**named)
     # Nobody asked for the slab: the others are drawn instead, and it is said.

@@ -287,7 +287,7 @@ class Joints:
             found += [child for each in own if (child := self._link_of(each, "child")) not in found]
         return found
 
-    def frozen(self, body: str) -> tuple[str, ...]:
+    def frozen_notes(self, body: str) -> tuple[str, ...]:
         """What is said of joints that stay as they are, of all links or of one that is taken alone."""
         movable = [joint for joint in self._joints if joint.get("type") in _MOVABLE]
         own: list[Element] = []
@@ -409,7 +409,7 @@ def read_urdf(
         own = joints.links_below(body)
         links = [link for link in links if link.name in own]
     model = rigid(
-        links, surfaces, _Looks(_materials(robot), surfaces).of, joints.frozen(body), scale
+        links, surfaces, _Looks(_materials(robot), surfaces).of, joints.frozen_notes(body), scale
     )
     names = [link.name for link in links]
     moved = {link.name: link_mass(path, link) for link in links if link.name != body}

@@ -21,8 +21,8 @@ _BACK = np.roll(np.arange(len(_FAN)), len(_FAN) // 2)
 """The direction opposite to each."""
 
 
-class Outlines:
-    """Outlines of the K objects of a world.
+class ConvexOutlines:
+    """Convex outlines of the K objects of a world.
 
     Args:
       layout: of the compiled world.
@@ -64,7 +64,7 @@ def _corners(layout: Layout, index: int) -> np.ndarray:
 
 
 def reaches_of_boxes(half_extents: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-    """`Outlines.reaches` of upright boxes: f64[n, B, D].
+    """`ConvexOutlines.reaches` of upright boxes: f64[n, B, D].
 
     Args:
       half_extents: f[n, B, 2], metres; yaw: f[n, B], radians.
@@ -80,7 +80,7 @@ def gaps_in_plan(
     """Gaps between the outlines of K objects and of J others, each along the direction of the widest.
 
     Args:
-      places: f64[n, K, 2], metres; reaches: f64[n, K, D], of `Outlines.reaches`.
+      places: f64[n, K, 2], metres; reaches: f64[n, K, D], of `ConvexOutlines.reaches`.
       others, their_reaches: likewise, f64[n, J, 2] and f64[n, J, D].
 
     Returns:
@@ -93,7 +93,7 @@ def gaps_in_plan(
     return np.take_along_axis(gaps, widest[..., None], -1)[..., 0], _DIRECTIONS[widest]
 
 
-def moved_together(
+def move_together(
     places: np.ndarray,
     reaches: np.ndarray,
     is_same: np.ndarray,
