@@ -162,8 +162,6 @@ def complaints(folder, *arguments):
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False).stdout
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(900)
 def test_a_seat_and_a_table_of_sense_that_nothing_reads_are_refused():
     with pytest.raises(ConfigError, match=r"seat = '\+x' of scenes that are not natural"):
         SceneSpec(seat="+x").problem_config("spread")
@@ -174,6 +172,8 @@ def test_a_seat_and_a_table_of_sense_that_nothing_reads_are_refused():
         SceneSpec(sense="mine.yaml", **reader).check_sense()
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_mypy_refuses_a_field_that_is_misspelt_or_renamed(tmp_path):
     shutil.copytree(
         ROOT / "cluttergen_jax", tmp_path / "cluttergen_jax", ignore=lambda *_: ["__pycache__"]
