@@ -22,7 +22,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
 from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.numerics import with_kept_programs, with_own_settings
-from cluttergen_jax.rendering.config import QUALITIES, CameraView, FilmConfig, Quality
+from cluttergen_jax.rendering.config import QUALITIES, CameraView, FilmConfig, PhotoConfig, Quality
 
 if TYPE_CHECKING:
     from cluttergen_jax.generation.sources.rendering import RenderReport
@@ -61,6 +61,10 @@ def render(
     cameras: Sequence[str | Path] = (),
     quality: Quality | None = None,
     samples: int | None = None,
+    look: str | Path = "studio",
+    transparent: bool = False,
+    background: str | Path | None = None,
+    depth_of_field: float | None = None,
     film: FilmFormat = "gif",
     pace: FilmConfig | None = None,
     columns: int = 4,
@@ -88,7 +92,7 @@ def render(
         masks, poses, models. Scenes are added to one that is there; those of a second bank get the next
         numbers, and the same call resumes.
       views: pictures of each of its scenes, by cameras at random places around it.
-      seed: for places of cameras that are drawn; 0 to 4294967295.
+      seed: for places of cameras and what looks leave open; 0 to 4294967295.
       split: folder of its scenes: train, val or test, with a kind of images after it.
       pixel_origin: of its cam_K: "center", the first pixel's middle is (0, 0), as in OpenCV; "corner", its
         corner is, as in OpenGL and in the renderer of bop_toolkit.
@@ -104,8 +108,15 @@ def render(
         "side", or JSON files with cameras of your own (docs/guide/datasets.md), which go around for a
         turntable; files are named after them.
       quality: "draft" has sharp shadows, "fine" soft ones for some five times the time; fine, and draft for
-        films, bop and sheets of more than a dozen, if not given.
-      samples: pictures averaged into one, in place of the quality's.
+        films, bop and sheets of more than a dozen, if not given. "photo" traces paths of light (extra
+        `photo`), which takes some 50 CPU-seconds a picture.
+      samples: pictures averaged into one, or paths of each pixel of a photo, in place of the quality's.
+      look: how scenes are furnished and lit: a name such as "kitchen_day", "random" for any, "plain" for the
+        support's own colours on a grey floor, or a YAML file (docs/guide/pictures.md). Where a look leaves
+        something open, it is drawn for each scene from `seed`. bop is always plain.
+      transparent: of photos: floor, walls and sky are left out, and are clear in the PNG.
+      background: of photos: what is there instead, a colour such as white or #f2efe8, or an image's file.
+      depth_of_field: of photos: the f-number of the lens, such as 2.8; all is sharp if not given.
       film: "gif", or "mp4" (extra video).
       pace: how fast films run; the defaults of `FilmConfig` if not given.
       columns: of the contact sheet.
@@ -140,6 +151,8 @@ def render(
 
     check_importable()
     from cluttergen_jax.generation.sources.rendering import Rendering
+    from cluttergen_jax.rendering.look import find_look
+    from cluttergen_jax.rendering.photo import check_photo
     from cluttergen_jax.rendering.scene_renderer import PictureConfig
     from cluttergen_jax.sensing.camera import parse_cameras
     from cluttergen_jax.views.bop import BopConfig
@@ -151,6 +164,22 @@ def render(
     if quality is not None and quality not in QUALITIES:
         raise ConfigError(f"quality = {quality!r}", ", ".join(QUALITIES), "quality='draft'")
     plans = parse_cameras(cameras, size) if cameras else ()
+    find_look(look)
+    photo = PhotoConfig(transparent, str(background or ""), depth_of_field)
+    if photo != PhotoConfig() and quality != "photo":
+        raise ConfigError(
+            f"transparent, background or depth_of_field with quality {quality or 'fine'!r}",
+            "quality 'photo'",
+            "quality='photo'",
+        )
+    if transparent and (turntable or replay):
+        raise ConfigError("a film that is transparent", "pictures", "background='white'")
+    if quality == "photo":
+        check_photo(photo)
+        if density:
+            raise ConfigError(
+                "density with quality 'photo'", "'draft' or 'fine'", "quality='fine' for it"
+            )
     check_range("columns", columns, 1, _MOST_COLUMNS, 4)
     if doors not in get_args(DoorState):
         raise no_such("doors", doors, get_args(DoorState))
@@ -168,6 +197,8 @@ def render(
         plans,
         doors,
         has_view=view is not None,
+        furnished=str(look),
+        photo=photo,
     )
     with hold_folder(Path(out)):
         return rendering.make(str(source), numbers)

@@ -36,6 +36,7 @@ from cluttergen_jax.rendering.camera import axes, fit_camera
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.gl import gl_context
 from cluttergen_jax.rendering.lighting import add_lighting
+from cluttergen_jax.rendering.look import Look
 from cluttergen_jax.rendering.picture import distinct_colour, render_model
 from cluttergen_jax.rendering.renderer import Trail
 from cluttergen_jax.rendering.sheet import Ring, contact_sheet, with_rings
@@ -173,7 +174,10 @@ def support_sheet(support: SupportAsset) -> np.ndarray:
 
 
 def scene_spec(
-    assets: Sequence[ObjectAsset], poses: np.ndarray, support: SupportAsset | None
+    assets: Sequence[ObjectAsset],
+    poses: np.ndarray,
+    support: SupportAsset | None,
+    look: Look | None = None,
 ) -> tuple[mujoco.MjSpec, np.ndarray]:
     """A lit specification of objects on a support, and its qpos.
 
@@ -181,6 +185,7 @@ def scene_spec(
       assets: K objects; the same one may come twice.
       poses: f[K, 7], position then wxyz, world frame.
       support: None leaves only the floor.
+      look: whose floor and light they have; see `add_lighting`.
 
     Raises:
       ConfigError: not one pose per object.
@@ -195,7 +200,7 @@ def scene_spec(
     spec = populated_spec(
         names, assets, support, StabilityConfig().timestep, contact, poses=poses, visual=True
     )
-    return add_lighting(spec), poses.ravel()
+    return add_lighting(spec, look), poses.ravel()
 
 
 def render_scene(

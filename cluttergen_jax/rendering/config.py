@@ -9,7 +9,7 @@ from typing import Literal
 from cluttergen_jax.errors import ConfigError
 
 MAX_FRAMES = 5000
-Quality = Literal["draft", "fine"]
+Quality = Literal["draft", "fine", "photo"]
 
 
 @dataclass(frozen=True)
@@ -19,17 +19,53 @@ class QualityConfig:
     Attributes:
       samples: pictures averaged into one, with light and pixels moved a little between them.
       smoothing: places of a pixel at which edges are drawn in each; 0 for one.
+      is_photo: path tracing, `samples` being paths for each pixel.
     """
 
     samples: int
     smoothing: int
+    is_photo: bool = False
 
 
 QUALITIES: dict[Quality, QualityConfig] = {
     "draft": QualityConfig(1, 4),
     "fine": QualityConfig(10, 0),
+    "photo": QualityConfig(16, 0, is_photo=True),
 }
-"""A draft has sharp shadows and smooth edges; a fine picture soft shadows, for some five times the time."""
+"""A draft has sharp shadows and smooth edges; a fine picture soft shadows, for some five times the time; a
+photo is traced along paths of light, for some fifty times the time."""
+
+
+@dataclass(frozen=True)
+class PhotoConfig:
+    """What a photo, a picture of quality "photo", may have besides.
+
+    Attributes:
+      is_transparent: its floor, walls and sky are left out, and are clear in the picture.
+      background: what is there instead: a colour, by name or as "#rrggbb", or the file of an image.
+      f_number: of the lens, such as 2.8, focused on the middle of the scene; the smaller, the less is sharp
+        before and behind it. None makes all sharp.
+
+    Raises:
+      ConfigError: both of the first two, or an f-number that is none.
+    """
+
+    is_transparent: bool = False
+    background: str = ""
+    f_number: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.f_number is not None and not 0.5 <= self.f_number <= 100:
+            raise ConfigError(f"depth_of_field = {self.f_number}", "an f-number, 0.5 to 100", "2.8")
+        if self.is_transparent and self.background:
+            raise ConfigError("transparent with a background", "one of the two")
+
+    @property
+    def is_cut_out(self) -> bool:
+        """Whether floor, walls and sky are left out."""
+        return self.is_transparent or bool(self.background)
+
+
 _VIEW_LIMITS = {
     "azimuth": (-3600, 3600, " degrees"),
     "elevation": (-90, 90, " degrees"),

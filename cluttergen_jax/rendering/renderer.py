@@ -17,7 +17,7 @@ from cluttergen_jax.geometry import yaw_matrix
 from cluttergen_jax.rendering.camera import orbit_camera, set_view
 from cluttergen_jax.rendering.config import CameraView
 from cluttergen_jax.rendering.gl import gl_context
-from cluttergen_jax.rendering.lighting import KEY_DIRECTION, KEY_LIGHT, SKY_LIGHT
+from cluttergen_jax.rendering.lighting import KEY_LIGHT, SKY_LIGHT
 from cluttergen_jax.sensing.camera import Camera
 
 HIDDEN_GROUP = 5
@@ -26,7 +26,6 @@ MAX_SAMPLES = 4096
 _MAX_EXTRA = 4000
 _GOLDEN = 0.6180339887498949
 _EVERYTHING = mujoco.mjtCatBit.mjCAT_ALL.value
-_KEY_SPREAD = 0.10
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +78,6 @@ class Renderer:
         self._option = mujoco.MjvOption()
         self._option.geomgroup[:] = 0
         self._option.geomgroup[VISUAL_GROUP] = 1
-        self._lights = {i: model.light(i).name for i in range(model.nlight)}
         self._rect = mujoco.MjrRect(0, 0, width, height)
 
     def set_size(self, width: int, height: int) -> None:
@@ -124,7 +122,7 @@ class Renderer:
                     if trail.alpha > limits[index]:
                         self._add(trail)
                 u = low_discrepancy(index)
-                shift_lights(self._scene, self._lights, u, self.model.stat.center, reach, light_yaw)
+                shift_lights(self._scene, self.model, u, reach, light_yaw)
                 if samples > 1:
                     shift_pixel(self._scene, u[4], u[5], self.width, self.height)
                 mujoco.mjr_render(self._rect, self._scene, self._context)
@@ -242,33 +240,31 @@ def _around(direction: np.ndarray, u: float, v: float, spread: float) -> np.ndar
 
 
 def shift_lights(
-    scene: mujoco.MjvScene,
-    names: dict[int, str],
-    u: np.ndarray,
-    center: np.ndarray,
-    reach: float,
-    yaw: float = 0.0,
+    scene: mujoco.MjvScene, model: mujoco.MjModel, u: np.ndarray, reach: float, yaw: float = 0.0
 ) -> None:
     """Turns the lights of `lighting` a little: averaged over many pictures, small lights become soft ones.
 
     Args:
+      u: f64[6] in [0, 1], where in all directions that it may have each light is.
+      reach: the content's radius, metres.
       yaw: radians by which all of them are turned about the vertical besides, to follow a camera.
     """
-    key = yaw_matrix(yaw) @ KEY_DIRECTION
-    key /= np.linalg.norm(key)
     height = 0.5 + 0.5 * u[2]
     turn = 2 * math.pi * u[3]
     ring = math.sqrt(1.0 - height**2)
-    directions = {
-        KEY_LIGHT: _around(key, u[0], u[1], _KEY_SPREAD),
-        # Even over the sky down to 30 degrees above the horizon.
-        SKY_LIGHT: -np.array([ring * math.cos(turn), ring * math.sin(turn), height]),
-    }
+    # Even over the sky down to 30 degrees above the horizon.
+    sky = -np.array([ring * math.cos(turn), ring * math.sin(turn), height])
     for light in scene.lights[: scene.nlight]:
-        name = names.get(light.id, "") if not light.headlight else ""
-        if name in directions:
-            light.dir = directions[name]
-            light.pos = center - directions[name] * 2 * reach
+        name = "" if light.headlight else model.light(light.id).name
+        if name == SKY_LIGHT:
+            light.dir = sky
+        elif name.startswith(KEY_LIGHT):
+            towards = yaw_matrix(yaw) @ model.light_dir[light.id]
+            spread = model.light_bulbradius[light.id]
+            light.dir = _around(towards / np.linalg.norm(towards), u[0], u[1], spread)
+        else:
+            continue
+        light.pos = model.stat.center - light.dir * 2 * reach
 
 
 def shift_pixel(scene: mujoco.MjvScene, u: float, v: float, width: int, height: int) -> None:

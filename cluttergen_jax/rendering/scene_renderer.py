@@ -16,7 +16,10 @@ from cluttergen_jax.assets.support_map import rim_height
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.rendering.assets import scene_spec
 from cluttergen_jax.rendering.camera import corners, drawn_points, fit_camera
-from cluttergen_jax.rendering.config import CameraView
+from cluttergen_jax.rendering.config import CameraView, PhotoConfig
+from cluttergen_jax.rendering.furnish import furnish
+from cluttergen_jax.rendering.look import Look
+from cluttergen_jax.rendering.photo import PhotoRenderer, open_photo_renderer
 from cluttergen_jax.rendering.picture import DEFAULT_VIEW, prepare_model
 from cluttergen_jax.rendering.renderer import (
     HIDDEN_GROUP,
@@ -61,6 +64,8 @@ class PictureConfig:
       hulls: draw the collision parts instead of the surfaces.
       smoothing: edges are drawn from so many places of each pixel, 0 for one; colours alone, no depth and
         labels, can be drawn so.
+      look: how the scene is furnished and lit; None draws the support in its own colours, on a grey floor.
+      photo: path tracing, with `samples` paths for each pixel; None draws by OpenGL.
     """
 
     width: int = 640
@@ -70,6 +75,8 @@ class PictureConfig:
     whole: bool = False
     hulls: bool = False
     smoothing: int = 0
+    look: Look | None = None
+    photo: PhotoConfig | None = None
 
     def __post_init__(self) -> None:
         check_size(self.width, self.height, self.samples)
@@ -94,7 +101,7 @@ class SceneRenderer:
 
     def __init__(
         self,
-        model_renderer: Renderer,
+        model_renderer: Renderer | PhotoRenderer,
         data: mujoco.MjData,
         picture: PictureConfig,
         reach: float,
@@ -210,13 +217,18 @@ def open_scene_renderer(
       RendererError: nothing here can draw.
     """
     picture = _look_over_rim(picture, support)
-    spec = spec or lit_spec(objects, support)
+    spec = spec or lit_spec(objects, support, picture.look)
     model, data, content = _make_scene_model(spec, points, picture)
     model.vis.quality.offsamples = picture.smoothing
     width = picture.width
     height = picture.height
     reach = set_range(model, content, picture.view, width, height)
-    with open_renderer(model, width, height) as model_renderer:
+    opened = (
+        open_renderer(model, width, height)
+        if picture.photo is None
+        else open_photo_renderer(model, picture.look, picture.photo)
+    )
+    with opened as model_renderer:
         camera = _fit_camera(content, points, picture)
         yield SceneRenderer(model_renderer, data, picture, reach, content, camera)
 
@@ -229,14 +241,16 @@ def scene_camera(
 ) -> Camera:
     """The camera that `open_scene_renderer` of these begins with; needs no OpenGL."""
     picture = _look_over_rim(picture, support)
-    content = _make_scene_model(lit_spec(objects, support), points, picture)[2]
+    content = _make_scene_model(lit_spec(objects, support, picture.look), points, picture)[2]
     return _fit_camera(content, points, picture)
 
 
-def lit_spec(objects: Sequence[ObjectAsset], support: SupportAsset | None) -> mujoco.MjSpec:
-    """Light, floor and support, and the objects at the origin."""
+def lit_spec(
+    objects: Sequence[ObjectAsset], support: SupportAsset | None, look: Look | None = None
+) -> mujoco.MjSpec:
+    """Light, floor and the support as the look furnishes it, and the objects at the origin."""
     home = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (len(objects), 1))
-    return scene_spec(objects, home, support)[0]
+    return scene_spec(objects, home, None if support is None else furnish(support, look), look)[0]
 
 
 def _make_scene_model(

@@ -20,7 +20,8 @@ from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import remove_partial, write_atomically, writing
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.rendering.config import QUALITIES, Quality
+from cluttergen_jax.rendering.config import QUALITIES, PhotoConfig, Quality
+from cluttergen_jax.rendering.look import PLAIN, Look, find_look
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.rendering.variation import TEXTURES_OF
 from cluttergen_jax.scene.bank import Bank, read_bank, read_scenes, region_of, select_rows
@@ -56,6 +57,7 @@ class ViewConfig:
       seed: of cameras that are drawn, and of all that varies.
       vary: what is drawn anew for each view (`config.Variation`).
       quality: of colours.
+      look: the name or file of a look, of which what it leaves open is drawn for each scene.
       colour: draw colours, which needs OpenGL; all else needs none.
     """
 
@@ -64,12 +66,23 @@ class ViewConfig:
     vary: tuple[Variation, ...] = ()
     quality: Quality = "draft"
     colour: bool = True
+    look: str = PLAIN
 
     def picture(self) -> PictureConfig:
         """Of colours, as large as the largest of the cameras' pictures."""
         width, height = np.max([plan.size for plan in self.cameras], axis=0).tolist()
         quality = QUALITIES[self.quality]
-        return PictureConfig(width, height, quality.samples, smoothing=quality.smoothing)
+        return PictureConfig(
+            width,
+            height,
+            quality.samples,
+            smoothing=quality.smoothing,
+            photo=PhotoConfig() if quality.is_photo else None,
+        )
+
+    def look_of(self, number: int) -> Look | None:
+        """How a scene is furnished and lit, by its number in its bank."""
+        return find_look(self.look, self.seed + number)
 
 
 @dataclass(frozen=True)
@@ -195,6 +208,7 @@ class DatasetPlan:
             "vary": list(config.vary),
             "quality": config.quality,
             "colour": config.colour,
+            **({"look": config.look} if config.look != PLAIN else {}),
             "scenes_per_shard": SCENES_PER_SHARD,
             # Versions before drew the split of each scene by itself, and shares came out by chance.
             **({"shares_are": "exact"} if len(self.shares) > 1 else {}),
@@ -273,7 +287,10 @@ class ShardMaker:
             objects = [scene.objects for scene in scenes]
             for scene in scenes:
                 split = split_of[scene.number]
-                maker.place(scene.objects, scene.poses, scene.support, coming=lambda: objects)
+                look = config.look_of(scene.number)
+                maker.place(
+                    scene.objects, scene.poses, scene.support, coming=lambda: objects, look=look
+                )
                 for number, plan in enumerate(config.cameras):
                     rng = np.random.default_rng([config.seed, shard.bank, scene.number, number])
                     camera = plan.draw(scene.support, rng)

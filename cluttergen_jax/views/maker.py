@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -15,6 +16,8 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.config import Variation
 from cluttergen_jax.rendering.assets import close_points
+from cluttergen_jax.rendering.furnish import furnish
+from cluttergen_jax.rendering.look import Look
 from cluttergen_jax.rendering.renderer import Trail
 from cluttergen_jax.rendering.scene_renderer import (
     PictureConfig,
@@ -78,7 +81,7 @@ class ViewMaker:
         vary: Sequence[Variation] = (),
         around: np.ndarray | None = None,
         most_together: int = MOST_TOGETHER,
-        spec_of: Callable[[Sequence[ObjectAsset], SupportAsset], mujoco.MjSpec] = lit_spec,
+        spec_of: Callable[[Sequence[ObjectAsset], SupportAsset], mujoco.MjSpec] | None = None,
         is_measured_by_gl: bool = False,
     ) -> None:
         self._picture = picture
@@ -113,6 +116,7 @@ class ViewMaker:
         support: SupportAsset,
         is_placed: np.ndarray | None = None,
         coming: Callable[[], Sequence[Sequence[ObjectAsset]]] = tuple,
+        look: Look | None = None,
     ) -> None:
         """Puts a scene before the cameras.
 
@@ -120,13 +124,17 @@ class ViewMaker:
           objects: N of them. poses: f[N, 7], T_world_object, metres, wxyz.
           is_placed: bool[N], which are there, for colours and what OpenGL measures; all if None.
           coming: gives the objects of scenes that come next; asked where something is uploaded.
+          look: how it is furnished and lit, if not as the picture says.
 
         Raises:
           RendererError: colours are wanted, and nothing here can draw.
         """
+        if look is not None and look != self._picture.look:
+            self._picture = replace(self._picture, look=look)
+            self._renderer = None
         self._objects = tuple(objects)
         self._poses = np.asarray(poses, np.float64).reshape(-1, 7)
-        self._support = support
+        self._support = furnish(support, self._picture.look)
         self._sensor: InstanceSensor | None = None
         self._is_placed = np.ones(len(self._objects), bool) if is_placed is None else is_placed
         if not self._is_drawn:
@@ -220,7 +228,8 @@ class ViewMaker:
             together |= more
         self._slots = {key: place for place, key in enumerate(together)}
         objects = tuple(together.values())
-        spec = self._spec_of(objects, self._support)
+        make_spec = self._spec_of or partial(lit_spec, look=self._picture.look)
+        spec = make_spec(objects, self._support)
         if self._vary:
             add_table_materials(spec)
         points = self._points() if self._around is None else self._around

@@ -24,10 +24,11 @@ from cluttergen_jax.placement import Replay
 from cluttergen_jax.placement.doors import poses_on
 from cluttergen_jax.progress import track
 from cluttergen_jax.rendering import PictureConfig, contact_sheet, save_png
-from cluttergen_jax.rendering.config import QUALITIES, FilmConfig, Quality
+from cluttergen_jax.rendering.config import QUALITIES, FilmConfig, PhotoConfig, Quality
 from cluttergen_jax.rendering.figure import NUM_PROPOSALS, closed_loop_figure, density_figure
 from cluttergen_jax.rendering.film import check_format, replay, replay_frames, save_film, turntable
 from cluttergen_jax.rendering.gl import RendererError, find_backend
+from cluttergen_jax.rendering.look import PLAIN, Look, find_look
 from cluttergen_jax.rendering.seat_mark import seat_mark
 from cluttergen_jax.rendering.viewer.source import SceneSource
 from cluttergen_jax.scene.bank.scene import missing_text
@@ -83,6 +84,8 @@ class Rendering:
       cameras: that see each scene, in place of the look's view.
       doors: "open" shows finished scenes with those doors open that they close.
       has_view: the look's view is asked for; else it is what suits the source (`files.view_of`).
+      furnished: the name or file of a look, of which what it leaves open is drawn for each scene.
+      photo: what pictures of quality "photo" have besides.
     """
 
     products: frozenset[str]
@@ -98,6 +101,8 @@ class Rendering:
     cameras: tuple[CameraPlan, ...] = ()
     doors: DoorState = "closed"
     has_view: bool = True
+    furnished: str = PLAIN
+    photo: PhotoConfig = field(default_factory=PhotoConfig)
 
     def make(self, source: str, scenes: Sequence[int] | Literal["all"] | None) -> RenderReport:
         """Makes everything that is asked for of scenes of a source; see `chosen_numbers`."""
@@ -176,7 +181,18 @@ class Rendering:
         if self.samples is not None:
             samples = self.samples
             smoothing = 0
-        return replace(self.look, width=width, height=height, samples=samples, smoothing=smoothing)
+        return replace(
+            self.look,
+            width=width,
+            height=height,
+            samples=samples,
+            smoothing=smoothing,
+            photo=self.photo if quality.is_photo else None,
+        )
+
+    def _look_of(self, number: int) -> Look | None:
+        """How a scene is furnished and lit."""
+        return find_look(self.furnished, self.bop.seed + number)
 
     def _make(self, work: _Work, number: int, made: list[Path]) -> Iterator[_Failure]:
         """Makes everything that is asked for of one scene; what cannot be made costs nothing else."""
@@ -205,8 +221,9 @@ class Rendering:
         self, work: _Work, recording: Replay, number: int, has_attempts: bool
     ) -> Iterator[tuple[str, _Make]]:
         """The endings of the files that are asked for, and how each is made."""
-        large = self._picture(_LARGE, "fine")
-        small = work.small
+        look = self._look_of(number)
+        large = replace(self._picture(_LARGE, "fine"), look=look)
+        small = replace(work.small, look=look)
         dataset = work.dataset
         cameras: dict[str, Camera | None] = {
             f"-{plan.name}": self._camera(plan, recording, number) for plan in self.cameras
@@ -214,7 +231,7 @@ class Rendering:
         films = cameras or {"": None}
         cameras = cameras or {"": self._own_camera(recording, large)}
         for ending, camera in cameras.items() if work.singles else ():
-            yield f"{ending}.png", partial(self._write_picture, work, recording, camera)
+            yield f"{ending}.png", partial(self._write_picture, work, recording, camera, look)
         if self._makes("figure") and has_attempts:
             yield (
                 "-figure.png",
@@ -262,9 +279,9 @@ class Rendering:
         return plan.draw(support, rng)
 
     def _write_picture(
-        self, work: _Work, recording: Replay, camera: Camera | None, path: Path
+        self, work: _Work, recording: Replay, camera: Camera | None, look: Look | None, path: Path
     ) -> Iterator[Path]:
-        yield save_png(work.draw(recording, camera), path)
+        yield save_png(work.draw(recording, camera, look), path)
 
     def _write_sensors(
         self,
@@ -275,7 +292,8 @@ class Rendering:
         camera: Camera | None,
     ) -> Iterator[Path]:
         scene = _seen_scene(recording, 0)
-        with ViewMaker(picture, is_drawn=is_drawn) as maker:
+        # Colours of a photo are its own file: here they come from OpenGL.
+        with ViewMaker(replace(picture, photo=None), is_drawn=is_drawn) as maker:
             maker.place(scene.objects, scene.poses, scene.support)
             view = maker.see(camera)
         stem = path.with_name(path.name.removesuffix("-sensors.npz"))
@@ -298,7 +316,8 @@ class Rendering:
             for place, each in enumerate(track(recordings, title, len(recordings), "picture")):
                 coming = recordings[place + 1 : place + 1 + _AHEAD]
                 camera = self._own_camera(each, picture)
-                images.append(_draw(maker, each, camera, partial(_objects_of, coming)))
+                look = self._look_of(numbers[place])
+                images.append(_draw(maker, each, camera, partial(_objects_of, coming), look))
         captions = [
             f"{number:06d}" + ("" if recording.is_success else f" (failed: {recording.verdict})")
             for number, recording in zip(numbers, recordings, strict=True)
@@ -330,9 +349,11 @@ class _Work:
     dataset: BopScenes | None = None
     _stills: dict[int, Replay] = field(default_factory=dict)
 
-    def draw(self, recording: Replay, camera: Camera | None) -> np.ndarray:
+    def draw(
+        self, recording: Replay, camera: Camera | None, look: Look | None = None
+    ) -> np.ndarray:
         """uint8[height, width, 3]: the finished scene; None sees it as the pictures' view."""
-        return _draw(self.maker, recording, camera, self._objects_coming)
+        return _draw(self.maker, recording, camera, self._objects_coming, look)
 
     def _objects_coming(self) -> list[list[ObjectAsset]]:
         found = []
@@ -398,9 +419,10 @@ def _draw(
     recording: Replay,
     camera: Camera | None,
     coming: Callable[[], Sequence[Sequence[ObjectAsset]]],
+    look: Look | None,
 ) -> np.ndarray:
     poses = recording.poses[recording.placed]
-    maker.place(_placed_objects(recording), poses, recording.support, coming=coming)
+    maker.place(_placed_objects(recording), poses, recording.support, coming=coming, look=look)
     mark = seat_mark(recording.region, recording.support, recording.seat)
     return maker.picture(camera, mark)
 
