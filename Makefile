@@ -37,7 +37,7 @@ $(VENV)/.dev: $(VENV)/.core
 	@touch $@
 
 $(VENV)/.all: $(VENV)/.dev
-	$(INSTALL) -e '.[dev,ycb,ray,robot,record,video,peers,usd,viewer,browser,fuzz,hub,docs,remote,perception]'
+	$(INSTALL) -e '.[dev,ycb,ray,robot,record,video,peers,usd,viewer,browser,fuzz,hub,docs,remote,perception,photo]'
 	@touch $@
 
 demo: $(VENV)/.core ## generate, draw, save and verify 20 scenes of ten dining objects in out/demo

@@ -15,6 +15,7 @@ from PIL import Image
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece, Texture
 from cluttergen_jax.assets.support import Box, SupportAsset
+from cluttergen_jax.errors import AssetError
 from cluttergen_jax.geometry import yaw_matrix
 from cluttergen_jax.rendering.look import Covering, Look
 from cluttergen_jax.rendering.surfaces import KINDS, draw_surface
@@ -41,8 +42,11 @@ def covering_texture(covering: Covering) -> Texture:
     if covering.of in KINDS:
         pixels = draw_surface(covering.of, covering.colours, covering.seed)
         return Texture.of(Image.fromarray(pixels))
-    with Image.open(covering.of) as image:
-        return Texture.of(image)
+    try:
+        with Image.open(covering.of) as image:
+            return Texture.of(image)
+    except (OSError, Image.DecompressionBombError) as error:
+        raise AssetError(f"{covering.of}, an image that cannot be decoded ({error})") from error
 
 
 def furnish(support: SupportAsset, look: Look | None) -> SupportAsset:

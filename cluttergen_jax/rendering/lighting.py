@@ -87,12 +87,12 @@ def _add_lights(spec: mujoco.MjSpec, look: Look | None) -> None:
         _add_light(spec, SKY_LIGHT, (0, 0, -1), (0.44, 0.44, 0.45), 0.0)
         return
     sky = look.exposure * look.sky.strength * np.array(look.sky.colour)
-    headlight.ambient = 0.7 * sky
+    headlight.ambient = 0.9 * sky
     headlight.diffuse = 0.15 * sky
     for name, lamp in zip(lamp_names(look), look.lamps, strict=True):
         light = look.exposure * lamp.strength * np.array(lamp.colour)
         spread = float(np.arctan(lamp.size / 2 / lamp.distance))
-        _add_light(spec, name, -lamp_direction(lamp), 0.85 * light, 0.25, spread)
+        _add_light(spec, name, -lamp_direction(lamp), 0.7 * light, 0.25, spread)
     _add_light(spec, SKY_LIGHT, (0, 0, -1), 0.6 * sky, 0.0)
 
 

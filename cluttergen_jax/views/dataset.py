@@ -208,6 +208,8 @@ class DatasetPlan:
             "vary": list(config.vary),
             "quality": config.quality,
             "colour": config.colour,
+            # Versions before averaged fewer pictures.
+            **({"samples": QUALITIES[config.quality].samples} if config.quality != "draft" else {}),
             **({"look": config.look} if config.look != PLAIN else {}),
             "scenes_per_shard": SCENES_PER_SHARD,
             # Versions before drew the split of each scene by itself, and shares came out by chance.

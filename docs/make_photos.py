@@ -1,0 +1,84 @@
+"""Makes the pictures of docs/guide/pictures.md: python docs/make_photos.py [FOLDER] (some twenty minutes on two cores).
+
+Banks are made in FOLDER (out/photos), unless they are there. Needs the extra `photo`.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+import cluttergen_jax as cg
+from cluttergen_jax.files import file_whole
+from cluttergen_jax.rendering import contact_sheet
+from cluttergen_jax.rendering.look import embedded_looks
+
+HERE = Path(__file__).parent / "images"
+QUALITY = 88
+LARGE = (960, 720)
+CELL = (480, 360)
+MIXED = {"pool": "all", "num_objects": 14, "natural": True, "crowd": 0.4}
+"""The scene of most pictures."""
+PAIRS: dict[str, tuple[str, dict[str, Any]]] = {
+    "dining: glass": ("studio", {"pool": "dining", "natural": True}),
+    "kitchen: steel": ("marble_bar", {"pool": "kitchen", "num_objects": 8, "crowd": 0.5}),
+    "office, in a bin": ("workshop", {"pool": "office", "support": "bin", "method": "pile"}),
+    "study, in a bookcase": (
+        "study_night",
+        {"pool": "study", "support": "bookcase", "method": "shelves", "num_objects": 12},
+    ),
+}
+"""Caption, look and scene of each pair of `pairs.jpg`."""
+
+
+def bank_of(folder: Path, **options: Any) -> Path:
+    """A bank with one good scene of these options in `folder`, made if it is not there."""
+    if not (folder / "bank.json").is_file():
+        cg.generate(out=folder, num_scenes=2, render=False, seed=5, **options)
+    return folder
+
+
+def draw(bank: Path, folder: Path, **options: Any) -> np.ndarray:
+    """The first scene of a bank that stands, drawn with `cluttergen_jax.render`'s options."""
+    report = cg.render(bank, folder, **options)
+    (path,) = report.paths
+    with Image.open(path) as image:
+        return np.asarray(image.convert("RGB"))
+
+
+def save(image: np.ndarray, name: str) -> None:
+    """Writes a picture of the documentation."""
+    with file_whole(HERE / name) as fresh:
+        Image.fromarray(image).save(fresh, "JPEG", quality=QUALITY)
+    print(HERE / name)
+
+
+def main(out: Path) -> None:
+    """Makes all of them."""
+    mixed = bank_of(out / "mixed", **MIXED)
+    both = [
+        draw(mixed, out / quality, quality=quality, look="kitchen_day", size=LARGE)
+        for quality in ("fine", "photo")
+    ]
+    save(np.concatenate(both, axis=1), "photo.jpg")
+    looks = [
+        draw(mixed, out / "looks" / name, quality="photo", look=name, size=CELL)
+        for name in embedded_looks()
+    ]
+    save(contact_sheet(looks, list(embedded_looks()), 4), "looks.jpg")
+    images = []
+    captions = []
+    for number, (caption, (look, options)) in enumerate(PAIRS.items()):
+        bank = bank_of(out / f"pair-{number}", **options)
+        for quality in ("fine", "photo"):
+            images.append(draw(bank, out / quality, quality=quality, look=look, size=CELL))
+            captions.append(f"{caption} ({quality})")
+    save(contact_sheet(images, captions, 2), "pairs.jpg")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1] if len(sys.argv) > 1 else "out/photos"))

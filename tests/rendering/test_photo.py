@@ -1,0 +1,127 @@
+"""Photos: the same cameras and outlines as OpenGL's pictures, glass that is seen through, and clear errors."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.support import cuboid_table
+from cluttergen_jax.cli.main import main
+from cluttergen_jax.errors import ConfigError, MissingExtraError
+from cluttergen_jax.rendering import photo
+from cluttergen_jax.rendering.assets import close_points
+from cluttergen_jax.rendering.config import PhotoConfig
+from cluttergen_jax.rendering.furnish import furnish
+from cluttergen_jax.rendering.look import find_look
+from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, open_scene_renderer
+from cluttergen_jax.sensing import FLOOR, Camera, InstanceSensor
+
+SIZE = (96, 72)
+
+
+def poses_of(objects, places):
+    return np.array(
+        [
+            [x, y, 0.7 + each.half_extents[2], 1, 0, 0, 0]
+            for each, (x, y) in zip(objects, places, strict=True)
+        ]
+    )
+
+
+def take(names, places, camera=None, samples=4, look="studio", **settings):
+    """A photo of dining objects on the paper's table, and what its camera sees by rays."""
+    pytest.importorskip("mitsuba", reason="needs the extra photo")
+    objects = [find_pool("dining")[name] for name in names]
+    poses = poses_of(objects, places)
+    support = furnish(cuboid_table(), find_look(look))
+    picture = PictureConfig(*SIZE, samples, look=find_look(look), photo=PhotoConfig(**settings))
+    points = close_points(objects, poses, support)
+    with open_scene_renderer(objects, support, points, picture) as renderer:
+        renderer.camera = camera or renderer.camera
+        image = renderer.picture([RenderStyle(pose) for pose in poses])
+        seen = InstanceSensor(objects, support).sense_scene(poses, renderer.camera)
+    return image, seen
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("is_square", [True, False])
+def test_a_photo_has_the_outlines_that_rays_see(is_square):
+    camera = None
+    if not is_square:
+        eye = np.array([1.0, -0.9, 1.5])
+        place = Camera.looking(eye, np.array([0.05, 0.0, 0.7]), *SIZE, 90).T_world_camera
+        # No picture of a real camera has its axis exactly in its middle, nor square pixels.
+        K = np.array([[90.0, 0, 51.3], [0, 108.0, 33.9], [0, 0, 1]])
+        camera = Camera(*SIZE, K, place)
+    image, seen = take(
+        ["mug", "soup_can"], [(-0.1, 0.1), (0.1, -0.1)], camera, 8, is_transparent=True
+    )
+    assert image.shape == (*SIZE[::-1], 4)
+    is_thing = seen.label != FLOOR
+    is_drawn = image[..., 3] > 127
+    assert (is_thing & is_drawn).sum() > 0.97 * (is_thing | is_drawn).sum()
+
+
+@pytest.mark.slow
+def test_a_background_is_where_nothing_is_and_pictures_repeat(tmp_path):
+    image, seen = take(["mug"], [(0.0, 0.0)], background="#20c040")
+    again, _ = take(["mug"], [(0.0, 0.0)], background="#20c040")
+    assert np.array_equal(image, again)
+    is_behind = (image == (0x20, 0xC0, 0x40)).all(-1)
+    assert (is_behind & (seen.label == FLOOR)).sum() > 0.95 * (seen.label == FLOOR).sum()
+    assert not is_behind[seen.label > FLOOR].all()
+
+
+@pytest.mark.slow
+def test_what_stands_behind_glass_is_seen_through_it():
+    # The camera looks along +y at a can that a water glass hides from rays.
+    camera = Camera.looking(np.array([0.0, -0.8, 0.78]), np.array([0.0, 0.0, 0.74]), *SIZE, 240)
+    alone, _ = take(["water_glass"], [(0.0, -0.1)], camera, 8)
+    behind, seen = take(["water_glass", "soup_can"], [(0.0, -0.1), (0.0, 0.12)], camera, 8)
+    is_glass = seen.label == 2
+    assert is_glass.sum() > 200
+    change = np.abs(behind.astype(int) - alone)[is_glass].mean()
+    assert change > 8
+
+
+@pytest.mark.slow
+def test_a_lens_leaves_what_is_far_from_its_focus_soft():
+    places = [(0.0, 0.30)]
+    sharp, _ = take(["cereal_box"], places, samples=8)
+    soft, _ = take(["cereal_box"], places, samples=8, f_number=1.0)
+    edges = [np.abs(np.diff(each.astype(float), axis=1)).max(-1) for each in (sharp, soft)]
+    assert np.quantile(edges[1], 0.99) < 0.8 * np.quantile(edges[0], 0.99)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"is_transparent": True, "background": "white"}, "one of the two"),
+        ({"f_number": 0.0}, "f-number"),
+        ({"f_number": float("nan")}, "f-number"),
+    ],
+)
+def test_what_a_photo_cannot_be_is_refused(settings, said):
+    with pytest.raises(ConfigError, match=said):
+        PhotoConfig(**settings)
+
+
+def test_a_background_that_is_neither_colour_nor_image_is_refused(tmp_path):
+    (tmp_path / "text.png").write_text("no image")
+    for background, said in (("blurple", "a colour such as"), (tmp_path / "text.png", "no image")):
+        with pytest.raises(ConfigError, match=said):
+            photo.check_photo(PhotoConfig(background=str(background)))
+    Image.new("RGB", (30, 10), (255, 0, 0)).save(tmp_path / "red.png")
+    assert photo.read_backdrop(str(tmp_path / "red.png"), 8, 8)[0, 0].tolist() == [1, 0, 0]
+
+
+def test_without_the_extra_the_error_names_it(monkeypatch):
+    monkeypatch.setattr(photo, "find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError, match="photo"):
+        photo.check_photo(PhotoConfig())
+
+
+def test_options_of_photos_ask_for_a_photo(tmp_path, capsys):
+    assert main(["render", "nowhere", "--transparent", "--out", str(tmp_path / "out")]) == 2
+    assert "quality 'photo'" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
