@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Annotated
 
 import msgspec
+import numpy as np
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -14,6 +16,8 @@ if TYPE_CHECKING:
 
 _LARGEST_EXPONENT = 128.0
 """That of OpenGL, which MuJoCo's shininess of 1 stands for."""
+_SHARPEST = 1000.0
+"""The largest exponent of MTL."""
 
 
 @dataclass(frozen=True)
@@ -48,16 +52,29 @@ class Finish:
         """Its maps."""
         return tuple(each for each in (self.normal, self.orm) if each is not None)
 
+    @cached_property
+    def without_maps(self) -> Finish:
+        """The finish for what reads no maps: its numbers times the means of their map."""
+        if self.orm is None:
+            return replace(self, normal=None)
+        _, roughness, metallic = (np.asarray(self.orm.image).mean((0, 1)) / 255).round(4).tolist()
+        return Finish(self.roughness * roughness, self.metallic * metallic, self.transmission)
+
     @property
     def specular(self) -> float:
         """How strong OpenGL draws highlights, from 0 to 1: none of what is matte, most of a polished metal."""
-        return round(0.5 * (1 + self.metallic) * (1 - self.roughness), 6)
+        mean = self.without_maps
+        return round(0.5 * (1 + mean.metallic) * (1 - mean.roughness), 6)
+
+    @property
+    def exponent(self) -> float:
+        """How small highlights are: the exponent of Blinn's model for this roughness; Ns in MTL."""
+        return round(min(2 / max(self.without_maps.roughness, 0.01) ** 4 - 2, _SHARPEST), 4)
 
     @property
     def shininess(self) -> float:
-        """How small OpenGL draws highlights: the exponent of Blinn's model for this roughness, of 128."""
-        exponent = 2 / max(self.roughness, 0.01) ** 4 - 2
-        return round(min(exponent / _LARGEST_EXPONENT, 1.0), 6)
+        """The same for OpenGL, from 0 to 1."""
+        return round(min(self.exponent / _LARGEST_EXPONENT, 1.0), 6)
 
     def stored(self) -> StoredFinish:
         """As it is kept in files."""
@@ -67,6 +84,7 @@ class Finish:
             float(self.transmission),
             self.normal and self.normal.digest,
             self.orm and self.orm.digest,
+            self.orm and (self.without_maps.roughness, self.without_maps.metallic),
         )
 
 
@@ -75,13 +93,19 @@ _Digest = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
 
 
 class StoredFinish(msgspec.Struct, omit_defaults=True):
-    """A finish as records hold it: maps by the SHA-256 of their files."""
+    """A finish as records hold it.
+
+    Attributes:
+      normal, orm: SHA-256 of the maps' files.
+      mean: roughness and metallic times the means of `orm`, for readers that decode no images.
+    """
 
     roughness: _Share
     metallic: _Share
     transmission: _Share = 0.0
     normal: _Digest | None = None
     orm: _Digest | None = None
+    mean: tuple[_Share, _Share] | None = None
 
     def finish(self, image_of: Callable[[str], Texture]) -> Finish:
         """The finish; `image_of` reads the image of a digest."""

@@ -173,7 +173,7 @@ def add_material(spec: mujoco.MjSpec, piece: Piece, folder: str = "") -> str:
 
 
 def finish_numbers(finish: Finish) -> dict[str, float]:
-    """Attributes of a material in MJCF."""
+    """Attributes of a material in MJCF; highlights are those of the mean of a map."""
     return {
         "specular": finish.specular,
         "shininess": finish.shininess,
@@ -193,9 +193,9 @@ def layers_of(piece: Piece) -> dict[str, Texture]:
 def finish_name(piece: Piece) -> str:
     """What the material of a piece with a finish is called: pieces of equal looks share one."""
     assert piece.finish is not None
-    colours = None if piece.texture is None else piece.texture.digest
+    image = None if piece.texture is None else piece.texture.file_name
     said = msgspec.to_builtins(piece.finish.stored())
-    text = json.dumps([piece.rgba, colours, said], sort_keys=True)
+    text = json.dumps([list(map(float, piece.rgba)), image, said], sort_keys=True)
     return f"finish-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
 
 
