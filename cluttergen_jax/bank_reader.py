@@ -862,7 +862,9 @@ def _mjcf(
             add_file("mesh", mesh, file, shell)
             if finish is not None:
                 said = _finishes_of(asset.record)[number]
-                text = json.dumps([list(map(float, rgba)), image and image.name, said], sort_keys=True)
+                text = json.dumps(
+                    [list(map(float, rgba)), image and image.name, said], sort_keys=True
+                )
                 own = f"finish-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
                 layers = {"rgb": image, **{key: finish.get(key) for key in _MAPS}}
                 layers = {role: each for role, each in layers.items() if each is not None}

@@ -30,8 +30,8 @@ class Finish:
       roughness: from 0, a mirror, to 1, matte; its square is the width of the distribution of microfacets.
       metallic: from 0 to 1, a bare metal, whose reflections have its colour.
       transmission: from 0 to 1, the share of the light that passes through, as through clear glass.
-      normal: a map of normals in tangent space: red is along u, green along v, blue outwards, as in OpenGL and
-        glTF. Its values are no colours: they are linear.
+      normal: a map of normals in tangent space: red is along u, green along v, blue outwards, as in OpenGL
+        and glTF. Its values are no colours: they are linear.
       orm: roughness in green and metallic in blue, by which the numbers are multiplied; red is 255. Linear.
     """
 
@@ -62,7 +62,7 @@ class Finish:
 
     @property
     def specular(self) -> float:
-        """How strong OpenGL draws highlights, from 0 to 1: none of what is matte, most of a polished metal."""
+        """How strong OpenGL draws highlights, from 0 to 1: none if matte, most of a polished metal."""
         mean = self.without_maps
         return round(0.5 * (1 + mean.metallic) * (1 - mean.roughness), 6)
 

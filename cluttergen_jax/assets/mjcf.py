@@ -153,8 +153,8 @@ def _add_image(spec: mujoco.MjSpec, texture: Texture, folder: str) -> str:
 def add_material(spec: mujoco.MjSpec, piece: Piece, folder: str = "") -> str:
     """Adds the material of a piece, once; its name, empty if the piece has one colour and no finish.
 
-    A finish gives it `roughness`, `metallic`, the layers of its maps, and highlights for MuJoCo's own renderer,
-    which reads none of these. What lets light through says so by the alpha of its colour.
+    A finish gives it `roughness`, `metallic`, the layers of its maps, and highlights for MuJoCo's own
+    renderer, which reads none of these. What lets light through says so by the alpha of its colour.
 
     Args:
       folder: where images will lie (`add_texture`).

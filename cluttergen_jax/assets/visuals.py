@@ -229,7 +229,7 @@ _STRETCH = 3.0
 
 
 def transfer_texture(piece: Piece, mesh: Mesh) -> Piece:
-    """A piece with images, with `mesh` in place of its own, each corner's uv taken from the nearest old place.
+    """A piece with images on `mesh` instead of its own, each corner's uv taken from the nearest old place.
 
     The image is cut along seams, and what lies beyond a seam is elsewhere in the image. So the place of a new
     triangle's middle is found first, and its corners' places are taken only where the image runs on from

@@ -9,10 +9,10 @@ import numpy as np
 import trimesh
 
 from cluttergen_jax.assets.cloud import cloud_colours, top_points
+from cluttergen_jax.assets.finish import Finish
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shading import linear, shade
-from cluttergen_jax.assets.finish import Finish
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support import PART_RGBA, Rectangle, SupportAsset
 from cluttergen_jax.geometry import transform_points, yaw_quaternion

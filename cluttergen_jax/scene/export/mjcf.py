@@ -97,7 +97,9 @@ def scene_xml(
     root = ET.Element("mujoco", model="cluttergen scene")
     compiler = ET.SubElement(root, "compiler", angle="radian", meshdir=_ASSETS)
     if any(
-        piece.images for pieces in (support.pieces, *(o.pieces for o in objects)) for piece in pieces
+        piece.images
+        for pieces in (support.pieces, *(o.pieces for o in objects))
+        for piece in pieces
     ):
         compiler.set("texturedir", _ASSETS)
     _add_options(root, stability, contact, names_detector and stability.both_detectors)

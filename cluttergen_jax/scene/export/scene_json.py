@@ -16,8 +16,8 @@ from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.geometry import transform_points, yaw_quaternion
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.export.shapes import (
-    VisualShape,
     SUPPORT_FOLDER,
+    VisualShape,
     friction_of,
     mean_of,
     object_folder,
