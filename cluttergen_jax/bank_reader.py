@@ -860,14 +860,14 @@ def _mjcf(
             mesh = f"{name}.visual-{number}"
             material = ""
             add_file("mesh", mesh, file, shell)
-            if finish is not None:
-                said = _finishes_of(asset.record)[number]
+            said = (_finishes_of(asset.record) or finishes)[number]
+            if finish is not None and said is not None:
                 text = json.dumps(
                     [list(map(float, rgba)), image and image.name, said], sort_keys=True
                 )
                 own = f"finish-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
-                layers = {"rgb": image, **{key: finish.get(key) for key in _MAPS}}
-                layers = {role: each for role, each in layers.items() if each is not None}
+                images = {"rgb": image, **{key: finish.get(key) for key in _MAPS}}
+                layers = {role: each for role, each in images.items() if each is not None}
                 if version < _WITH_LAYERS:
                     layers = {role: each for role, each in layers.items() if role == "rgb"}
                 for each in layers.values():

@@ -28,6 +28,7 @@ _NO_HIGHLIGHTS = (0, 1)
 _BUMPS = ("map_bump", "bump")
 _UNIT = 0.25
 """How far from 1 the lengths of a map's normals may be: of JPEG files, and of shrunk ones."""
+_BLUER = 0.1
 _MOST = 0.8
 """Of its pixels."""
 _SIDE = 64
@@ -251,7 +252,7 @@ def seen_through(
 
 
 def is_normal_map(image: Image.Image) -> bool:
-    """Whether an image's colours are normals of length 1 that point outwards: not those of a map of heights."""
+    """Whether an image's colours are normals of length 1 that point outwards, not heights."""
     try:
         small = image.convert("RGB")
     except (OSError, ValueError, SyntaxError, MemoryError):
@@ -260,7 +261,9 @@ def is_normal_map(image: Image.Image) -> bool:
     small.thumbnail((_SIDE, _SIDE), Image.Resampling.BOX)
     values = np.asarray(small, np.float64) / 127.5 - 1
     is_normal = np.abs(np.linalg.norm(values, axis=-1) - 1) < _UNIT
-    return bool((is_normal & (values[..., 2] > 0)).mean() > _MOST)
+    # Of greys all three are equal.
+    is_outwards = values[..., 2] > values[..., :2].max(-1) + _BLUER
+    return bool((is_normal & is_outwards).mean() > _MOST)
 
 
 def _object(holder: Json, key: str) -> Json:

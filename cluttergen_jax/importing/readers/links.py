@@ -101,7 +101,7 @@ class Surfaces:
         ]
 
     def _laid(self, finish: Finish | None, piece: Piece) -> Finish | None:
-        """A finish as it can be on a piece: maps need texture coordinates, which pieces with an image keep."""
+        """A finish as it can be on a piece: maps need texture coordinates, kept beside an image."""
         if finish is None or not finish.images or piece.uv is not None:
             return finish
         self.notes.append("the maps of a surface without an image on it are left out")
