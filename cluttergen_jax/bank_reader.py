@@ -860,19 +860,15 @@ def _mjcf(
             mesh = f"{name}.visual-{number}"
             material = ""
             add_file("mesh", mesh, file, shell)
-            said = (_finishes_of(asset.record) or finishes)[number]
-            if finish is not None and said is not None:
-                text = json.dumps(
-                    [list(map(float, rgba)), image and image.name, said], sort_keys=True
-                )
-                own = f"finish-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
-                images = {"rgb": image, **{key: finish.get(key) for key in _MAPS}}
+            if finish is not None:
+                own = _finish_name(rgba, image, finish)
+                images = {"rgb": image, **{role: finish.get(role) for role in _MAPS}}
                 layers = {role: each for role, each in images.items() if each is not None}
                 if version < _WITH_LAYERS:
                     layers = {role: each for role, each in layers.items() if role == "rgb"}
                 for each in layers.values():
                     add_file("texture", each.stem, each, ' type="2d"')
-                files[f"material {own}"] = _material(own, rgba, said, layers, version)
+                files[f"material {own}"] = _material(own, rgba, finish, layers, version)
                 material = f' material="{own}"'
             elif image is not None:
                 add_file("texture", image.stem, image, ' type="2d"')
@@ -948,6 +944,15 @@ def _material(
         f'<layer role="{role}" texture="{image.stem}"/>' for role, image in layers.items()
     )
     return f"<material {own}>{inner}</material>"
+
+
+def _finish_name(rgba: Sequence[float], image: Path | None, finish: dict[str, Any]) -> str:
+    """As the package calls its material: of a digest of all that it says."""
+    numbers = [float(finish.get(key, 0)) for key in ("roughness", "metallic", "transmission")]
+    images = [image, *map(finish.get, _MAPS)]
+    names = [each and each.name for each in images]
+    text = json.dumps([list(map(float, rgba)), numbers, names])
+    return f"finish-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
 
 
 def _finishes_of(record: dict[str, Any]) -> list[dict[str, Any] | None]:

@@ -78,13 +78,14 @@ class Finish:
 
     def stored(self) -> StoredFinish:
         """As it is kept in files."""
+        mean = self.without_maps
         return StoredFinish(
             float(self.roughness),
             float(self.metallic),
             float(self.transmission),
-            self.normal and self.normal.digest,
-            self.orm and self.orm.digest,
-            self.orm and (self.without_maps.roughness, self.without_maps.metallic),
+            None if self.normal is None else self.normal.digest,
+            None if self.orm is None else self.orm.digest,
+            None if self.orm is None else (mean.roughness, mean.metallic),
         )
 
 

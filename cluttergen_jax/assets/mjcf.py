@@ -7,7 +7,6 @@ import itertools
 import json
 from collections.abc import Mapping, Sequence
 
-import msgspec
 import mujoco
 import numpy as np
 
@@ -192,10 +191,12 @@ def layers_of(piece: Piece) -> dict[str, Texture]:
 
 def finish_name(piece: Piece) -> str:
     """What the material of a piece with a finish is called: pieces of equal looks share one."""
-    assert piece.finish is not None
-    image = None if piece.texture is None else piece.texture.file_name
-    said = msgspec.to_builtins(piece.finish.stored())
-    text = json.dumps([list(map(float, piece.rgba)), image, said], sort_keys=True)
+    finish = piece.finish
+    assert finish is not None
+    numbers = [float(each) for each in (finish.roughness, finish.metallic, finish.transmission)]
+    images = (piece.texture, finish.normal, finish.orm)
+    names = [None if each is None else each.file_name for each in images]
+    text = json.dumps([list(map(float, piece.rgba)), numbers, names])
     return f"finish-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
 
 

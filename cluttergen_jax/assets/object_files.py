@@ -222,7 +222,7 @@ def _floats(values: Iterable[Any]) -> Any:
 
 def _record(asset: ObjectAsset, contents: dict[str, bytes]) -> dict[str, Any]:
     images = [None if piece.texture is None else piece.texture.file_name for piece in asset.pieces]
-    finishes = [piece.finish and piece.finish.stored() for piece in asset.pieces]
+    finishes = [None if piece.finish is None else piece.finish.stored() for piece in asset.pieces]
     stored = _Stored(
         friction=None if asset.friction is None else float(asset.friction),
         scale=float(asset.scale),
@@ -266,7 +266,9 @@ def _asset(stored: _Stored, blobs: dict[str, bytes]) -> ObjectAsset:
     for i, (rgba, name, said) in enumerate(zip(stored.rgba, files, finishes, strict=True)):
         mesh, uv = parse_surface(blobs[f"visual-{i}.obj"].decode("ascii"))
         texture = None if name is None else textures[name]
-        finish = said and said.finish(lambda digest: textures[texture_name(digest)])
+        finish = None
+        if said is not None:
+            finish = said.finish(lambda digest: textures[texture_name(digest)])
         pieces.append(Piece(mesh, rgba, uv, texture, finish=finish))
     cloud = np.load(io.BytesIO(blobs[_CLOUD]), allow_pickle=False)
     check_numbers({"cloud": cloud}, {"cloud": Numbers("f4", (CLOUD_SIZE, 3))})

@@ -146,6 +146,14 @@ class Piece:
         colours = () if self.texture is None else (self.texture,)
         return colours if self.finish is None else (*colours, *self.finish.images)
 
+    @property
+    def without_maps(self) -> Piece:
+        """The piece with a finish of numbers alone; what has no image then has no uv."""
+        if self.finish is None:
+            return self
+        uv = None if self.texture is None else self.uv
+        return replace(self, uv=uv, finish=self.finish.without_maps)
+
     def transform(self, rotation: np.ndarray, translation: np.ndarray = ORIGIN) -> Piece:
         """The piece with its mesh transformed: see `Mesh.transform`."""
         return replace(self, mesh=self.mesh.transform(rotation, translation))

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 
 import msgspec
 
-from cluttergen_jax.assets.finish import Finish, StoredFinish
+from cluttergen_jax.assets.finish import StoredFinish
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.obj import mesh_text, parse_surface, part_name, surface_text
 from cluttergen_jax.assets.object_files import NAME_PATTERN, read_bytes
@@ -233,17 +233,17 @@ def _record(support: SupportAsset) -> dict[str, Any]:
                 "rgba": _round(piece.rgba),
                 # A digest, so that the record tells one image from another.
                 **({} if piece.texture is None else {"texture": piece.texture.digest}),
-                **({} if piece.finish is None else {"finish": _finish_record(piece.finish)}),
+                **(
+                    {}
+                    if piece.finish is None
+                    else {"finish": _round(msgspec.to_builtins(piece.finish.stored()))}
+                ),
             }
             for index, piece in enumerate(support.pieces)
         ],
         "provenance": support.provenance.record(),
         **more,
     }
-
-
-def _finish_record(finish: Finish) -> dict[str, Any]:
-    return _round(msgspec.to_builtins(finish.stored()))
 
 
 def _joint_record(joint: Joint) -> dict[str, Any]:
@@ -397,5 +397,5 @@ def _piece(record: _StoredPiece, folder: Path) -> Piece:
         return image
 
     texture = image_of(record.texture) if record.texture else None
-    finish = record.finish and record.finish.finish(image_of)
+    finish = None if record.finish is None else record.finish.finish(image_of)
     return Piece(mesh, record.rgba, uv, texture, finish=finish)

@@ -166,6 +166,8 @@ def test_colours_at_vertices_keep_the_finish(tmp_path):
         # Blinn's exponent n is a roughness r of r^4 = 2 / (n + 2).
         (("Kd 1 0 0", "Ks 0.5 0.5 0.5", "Ns 30"), (0.5, 0.0)),
         (("Kd 1 0 0", "Ks 0 0 0", "Ns 30"), (1.0, 0.0)),
+        # Blender writes 1000 (1 - r)^2.
+        (("# Blender 4.2.0 MTL File: 'None'", "Kd 1 0 0", "Ks 0.5 0.5 0.5", "Ns 250"), (0.5, 0.0)),
         (("Kd 1 0 0", "Ks 1 1 1", "Ns 30", "illum 1"), (1.0, 0.0)),
         (("Kd 1 0 0", "Ks 1 1 1", "Ns 0"), (1.0, 0.0)),
         (("Kd 1 0 0", "Pr 7"), (1.0, 0.0)),

@@ -88,22 +88,22 @@ def test_gltf(folder_of):
 
 
 def test_usd(folder_of):
-    pxr = pytest.importorskip("pxr", reason="needs the extra usd")
-    stage = pxr.Usd.Stage.Open(str(folder_of("usd") / "scenes" / "000000.usda"))
+    pytest.importorskip("pxr", reason="needs the extra usd")
+    from pxr import Usd, UsdGeom, UsdShade
+
+    stage = Usd.Stage.Open(str(folder_of("usd") / "scenes" / "000000.usda"))
 
     def shader_of(name):
-        prims = pxr.Usd.PrimRange(stage.GetPrimAtPath(f"/World/objects/{name}"))
+        prims = Usd.PrimRange(stage.GetPrimAtPath(f"/World/objects/{name}"))
         (mesh,) = (
-            each
-            for each in prims
-            if each.IsA(pxr.UsdGeom.Mesh) and "visuals" in str(each.GetPath())
+            each for each in prims if each.IsA(UsdGeom.Mesh) and "visuals" in str(each.GetPath())
         )
-        material = pxr.UsdShade.MaterialBindingAPI(mesh).ComputeBoundMaterial()[0]
+        material = UsdShade.MaterialBindingAPI(mesh).ComputeBoundMaterial()[0]
         return material.ComputeSurfaceSource()[0]
 
     def image_of(shader, name):
         source, channel, _ = shader.GetInput(name).GetConnectedSource()
-        return pxr.UsdShade.Shader(source.GetPrim()), channel
+        return UsdShade.Shader(source.GetPrim()), channel
 
     def value(shader, name):
         return shader.GetInput(name).Get()

@@ -2,13 +2,14 @@
 
 Of glTF the numbers hold as they are; where a file states one of roughness and metalness, the other is 1, as
 glTF has it, and where it states neither, nothing is known of them. MTL states `Pr` and `Pm`, or else Phong's
-`Ns`: an exponent n is a roughness r of Blinn's model, r^4 = 2 / (n + 2); without highlights (`Ks` of 0, or
-`illum` of 0 or 1) a surface is matte.
+`Ns`: an exponent n is a roughness r of Blinn's model, r^4 = 2 / (n + 2); Blender writes n = 1000 (1 - r)^2.
+Without highlights (`Ks` of 0, or `illum` of 0 or 1) a surface is matte.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -25,6 +26,8 @@ _GLASS = 0.3
 """Alpha of what lets all light through: renderers that know no transmission show it so."""
 _NO_HIGHLIGHTS = (0, 1)
 """Of MTL's `illum`."""
+_BY_BLENDER = re.compile(rb"^[ \t]*#[ \t]*Blender\b", re.MULTILINE)
+_EXPONENT = re.compile(rb"^([ \t]*Ns[ \t]+)([-+.\deE]+)(?=[ \t\r]*$)", re.MULTILINE)
 _BUMPS = ("map_bump", "bump")
 _UNIT = 0.25
 """How far from 1 the lengths of a map's normals may be: of JPEG files, and of shrunk ones."""
@@ -229,6 +232,21 @@ class Finisher:
         except AssetError as error:
             self.note(f"{key} is left out: {error.given}")
             return None
+
+
+def with_exponents(text: bytes) -> bytes:
+    """An MTL text whose `Ns` are exponents: Blender, which names itself, writes 1000 (1 - roughness)^2."""
+    if not _BY_BLENDER.search(text):
+        return text
+
+    def exponent(line: re.Match[bytes]) -> bytes:
+        try:
+            roughness = 1 - math.sqrt(float(line[2]) / 1000)
+        except ValueError:
+            return line[0]
+        return line[1] + b"%.6g" % (2 / min(max(roughness, 0.01), 1.0) ** 4 - 2)
+
+    return _EXPONENT.sub(exponent, text)
 
 
 def mtl_alpha(said: Mapping[str, Any]) -> float:

@@ -39,6 +39,7 @@ from cluttergen_jax.importing.readers.damage import (
     sound_stl,
     unreadable,
 )
+from cluttergen_jax.importing.readers.finishes import with_exponents
 from cluttergen_jax.importing.readers.gltf import plain_gltf, read_document
 from cluttergen_jax.importing.readers.materials import (
     LEFT_OUT,
@@ -215,7 +216,7 @@ class Companions(trimesh.resolvers.FilePathResolver):
             if found is None:
                 self._miss(name)
             else:
-                texts.append(as_utf8(read_file(found, MOST_WORDS)))
+                texts.append(with_exponents(as_utf8(read_file(found, MOST_WORDS))))
         text = b"\n".join(texts)
         if texts:
             used = dict.fromkeys(_names(_USED, as_utf8(self._path.read_bytes())))

@@ -312,13 +312,13 @@ class Geom:
         # MuJoCo draws no cube map on texture coordinates.
         if picture is not None and (picture.is_2d or not self._has_own_places):
             mesh, uv, texture = self._with_picture(picture, max_side)
-            finish = finish if picture.is_2d else finish and finish.without_maps
-            return Piece(self._place(mesh), colour, uv, texture, finish=finish)
+            piece = Piece(self._place(mesh), colour, uv, texture, finish=finish)
+            return piece if picture.is_2d else piece.without_maps
         if finish is not None and finish.images and self._has_own_places:
             mesh = _with_own_corners(self._own_mesh())
             uv = self._own_places() * [1, -1] + [0, 1]
             return Piece(self._place(mesh), colour, uv, finish=finish)
-        return Piece(self.mesh(), colour, finish=finish and finish.without_maps)
+        return Piece(self.mesh(), colour, finish=None if finish is None else finish.without_maps)
 
     def mesh(self, sections: int = 32) -> Mesh:
         """Its surface in the world frame.

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import trimesh
+from PIL import Image
 
 from cluttergen_jax.assets.cloud import cloud_colours, top_points
 from cluttergen_jax.assets.finish import Finish
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shading import linear, shade
-from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.shape import Piece, Texture
 from cluttergen_jax.assets.support import PART_RGBA, Rectangle, SupportAsset
 from cluttergen_jax.geometry import transform_points, yaw_quaternion
 from cluttergen_jax.placement.replay import Attempt, Replay
@@ -342,17 +343,21 @@ def dressed_mesh(piece: Piece) -> trimesh.Trimesh:
     finish = piece.finish or Finish()
     vertices, normals, faces, uv = shade(piece.mesh, piece.uv)
     material = trimesh.visual.material.PBRMaterial(
-        baseColorTexture=piece.texture and piece.texture.image,
+        baseColorTexture=_image(piece.texture),
         baseColorFactor=np.round(255 * np.array(linear(piece.rgba))).astype(np.uint8),
         metallicFactor=finish.metallic,
         roughnessFactor=finish.roughness,
-        normalTexture=finish.normal and finish.normal.image,
-        metallicRoughnessTexture=finish.orm and finish.orm.image,
+        normalTexture=_image(finish.normal),
+        metallicRoughnessTexture=_image(finish.orm),
         doubleSided=True,
         alphaMode="OPAQUE" if piece.rgba[3] >= 1 else "BLEND",
     )
     visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
     return trimesh.Trimesh(vertices, faces, vertex_normals=normals, visual=visual, process=False)
+
+
+def _image(texture: Texture | None) -> Image.Image | None:
+    return None if texture is None else texture.image
 
 
 def _hull(server: viser.ViserServer, name: str, part: Mesh, colour: tuple[int, int, int]) -> Any:

@@ -15,7 +15,6 @@ import itertools
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -498,7 +497,5 @@ def _add_surface(assets: ET._Element, body: ET._Element, surface: VisualShape) -
         ET.SubElement(assets, "texture", name=layers["rgb"], type="2d", file=surface.image)
     if layers or surface.piece.finish is not None:
         # robosuite renames what a model has, but no textures of layers: maps are left out.
-        finish = surface.piece.finish
-        piece = replace(surface.piece, finish=finish and finish.without_maps)
-        _add_material(assets, name, piece, layers)
+        _add_material(assets, name, surface.piece.without_maps, layers)
         geom.set("material", name)

@@ -120,7 +120,7 @@ def surfaces_of(body: ObjectAsset | SupportAsset) -> list[VisualShape]:
             f"visual-{index}",
             piece,
             _image_file(folder, piece.texture),
-            _image_file(folder, piece.finish and piece.finish.normal),
+            _image_file(folder, piece.finish.normal if piece.finish else None),
         )
         for index, piece in enumerate(pieces)
     ]
