@@ -66,6 +66,8 @@ _HEAVY = 1e9
 _FILE = re.compile(r"scenes-(\d{6,9})(?:-(\d{6,9}))?\.parquet")
 _NAME = re.compile(r"[a-z0-9_-]+(#\d+)?")
 _IMAGE = re.compile(r"[a-z0-9_-]+\.png")
+_DIGEST = re.compile("[0-9a-f]{64}")
+_MAPS = ("normal", "orm")
 _LISTS = ("objects", "is_placed", "poses")
 _COLUMNS = ("index", "is_success", "verdict", *_LISTS)
 _KINDS: dict[str, Callable[[Any], bool]] = {
@@ -80,6 +82,9 @@ _KINDS: dict[str, Callable[[Any], bool]] = {
 _AGAIN = "the same `cluttergen generate` again, which mends a bank, or a copy that is whole"
 _WAIT = (50.0, 10.0, 0.1)
 """Metres: from which x on and at which z objects wait that a scene lacks, and the gap between two."""
+_WITH_ROUGHNESS = (3, 2)
+_WITH_LAYERS = (3, 2, 7)
+"""MuJoCo that reads maps of a material."""
 _NEWEST = "3.17"
 """MuJoCo whose words are written where none is installed."""
 _TOUCH = ("friction", "solref", "solimp", "condim")
@@ -193,6 +198,8 @@ class Asset(NamedTuple):
         `resting` poses, `provenance` with the licence; of the support its `top`, and `boxes` that carry.
       parts: OBJ files of the convex collision parts.
       surfaces: what is seen: for each piece an OBJ file, its rgba, and an image that it multiplies or None.
+      finishes: for each piece how it reflects light, None where that is not known: `roughness`, `metallic`,
+        `transmission`, which may be absent, and the paths of its maps, `normal` and `orm` (as glTF's).
     """
 
     name: str
@@ -200,6 +207,7 @@ class Asset(NamedTuple):
     record: dict[str, Any]
     parts: tuple[Path, ...]
     surfaces: tuple[tuple[Path, list[float], Path | None], ...]
+    finishes: tuple[dict[str, Any] | None, ...] = ()
 
 
 class _Rows(NamedTuple):
@@ -565,11 +573,23 @@ class Bank:
                 raise ValueError(f"it names images {names}")
             meshes = [self._file(f"{folder}/visual-{number}.obj") for number in range(len(pieces))]
             textures = [each and self._file(f"{images}/{each}") for each in names]
+            finishes = _finishes_of(record) or [None] * len(pieces)
+            for finish in filter(None, finishes):
+                _check_finish(finish)
             parts = (
                 f"{folder}/part-{number:02d}.obj" for number in range(len(record.get("parts", [])))
             )
             surfaces = tuple(zip(meshes, [piece["rgba"] for piece in pieces], textures))
-            return Asset(name, record["label"], record, tuple(map(self._file, parts)), surfaces)
+            shining = tuple(
+                finish
+                and {
+                    key: self._file(f"{images}/texture-{value[:12]}.png") if key in _MAPS else value
+                    for key, value in finish.items()
+                }
+                for _, finish in zip(surfaces, finishes)
+            )
+            files = tuple(map(self._file, parts))
+            return Asset(name, record["label"], record, files, surfaces, shining)
 
     def _file(self, name: str) -> Path:
         """A file of the bank that is what was written, as far as `bank.json` knows."""
@@ -835,11 +855,22 @@ def _mjcf(
         for number, file in enumerate(asset.parts):
             add_file("mesh", f"{name}.part-{number}", file, "")
             yield f'<geom type="mesh" mesh="{name}.part-{number}" {part}/>'
-        for number, (file, rgba, image) in enumerate(asset.surfaces):
+        finishes = asset.finishes or [None] * len(asset.surfaces)
+        for number, ((file, rgba, image), finish) in enumerate(zip(asset.surfaces, finishes)):
             mesh = f"{name}.visual-{number}"
             material = ""
             add_file("mesh", mesh, file, shell)
-            if image is not None:
+            if finish is not None:
+                own = _finish_name(rgba, image, finish)
+                images = {"rgb": image, **{role: finish.get(role) for role in _MAPS}}
+                layers = {role: each for role, each in images.items() if each is not None}
+                if version < _WITH_LAYERS:
+                    layers = {role: each for role, each in layers.items() if role == "rgb"}
+                for each in layers.values():
+                    add_file("texture", each.stem, each, ' type="2d"')
+                files[f"material {own}"] = _material(own, rgba, finish, layers, version)
+                material = f' material="{own}"'
+            elif image is not None:
                 add_file("texture", image.stem, image, ' type="2d"')
                 shown = (
                     f'name="{image.stem}" texture="{image.stem}" specular="0.25" shininess="0.35"'
@@ -888,6 +919,45 @@ def _mjcf(
         bodies="\n".join(bodies),
         key="" if alone else f'<keyframe><key name="scene" {_words(qpos=poses)}/></keyframe>\n',
     )
+
+
+def _material(
+    name: str,
+    rgba: Sequence[float],
+    finish: dict[str, Any],
+    layers: dict[str, Path],
+    version: tuple[int, ...],
+) -> str:
+    """The material of a piece with a finish; `layers` are its images by their role in MJCF."""
+    roughness, metallic = finish.get("mean", (finish["roughness"], finish["metallic"]))
+    exponent = round(min(2 / max(roughness, 0.01) ** 4 - 2, 1000.0), 4)
+    numbers = {
+        "specular": round(0.5 * (1 + metallic) * (1 - roughness), 6),
+        "shininess": round(min(exponent / 128, 1.0), 6),
+    }
+    if version >= _WITH_ROUGHNESS:
+        numbers.update(roughness=finish["roughness"], metallic=finish["metallic"])
+    own = f'name="{name}" {_words(**numbers, rgba=rgba)}'
+    if set(layers) == {"rgb"}:
+        return f'<material {own} texture="{layers["rgb"].stem}"/>'
+    inner = "".join(
+        f'<layer role="{role}" texture="{image.stem}"/>' for role, image in layers.items()
+    )
+    return f"<material {own}>{inner}</material>"
+
+
+def _finish_name(rgba: Sequence[float], image: Path | None, finish: dict[str, Any]) -> str:
+    """As the package calls its material: of a digest of all that it says."""
+    numbers = [float(finish.get(key, 0)) for key in ("roughness", "metallic", "transmission")]
+    images = [image, *map(finish.get, _MAPS)]
+    names = [each and each.name for each in images]
+    text = json.dumps([list(map(float, rgba)), numbers, names])
+    return f"finish-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
+
+
+def _finishes_of(record: dict[str, Any]) -> list[dict[str, Any] | None]:
+    """Of each piece of an object's or a support's record; empty where no piece has one."""
+    return record.get("finishes") or [piece.get("finish") for piece in record.get("pieces", [])]
 
 
 def _words(**numbers: Any) -> str:
@@ -1018,6 +1088,16 @@ def _check_object(record: dict[str, Any]) -> None:
         _check("resting poses", pose["quaternion"], (4,), -1.001, 1.001)
         _check("resting poses", np.linalg.norm(pose["quaternion"]), (), 0.999, 1.001)
         _check("resting poses", [pose["height"], pose["likelihood"]], (2,))
+
+
+def _check_finish(finish: dict[str, Any]) -> None:
+    """ValueError (TypeError, LookupError) if a finish is none."""
+    for name in ("roughness", "metallic", "transmission"):
+        _check(name, finish.get(name, 0.0) if name == "transmission" else finish[name], (), 0, 1)
+    _check("mean finish", finish.get("mean", (0, 0)), (2,), 0, 1)
+    for name in _MAPS:
+        if name in finish and not _DIGEST.fullmatch(finish[name]):
+            raise ValueError(f"it names a map {finish[name]!r}")
 
 
 def _check_support(record: dict[str, Any]) -> None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
+import json
 from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
 
+from cluttergen_jax.assets.finish import Finish
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shading import shade
 from cluttergen_jax.assets.shape import Piece, Texture
@@ -78,7 +81,7 @@ def own_contact(
 
 
 def set_surface(mesh: mujoco.MjsMesh, piece: Piece) -> None:
-    """Gives a mesh the triangles of a piece, and normals and texture coordinates if it has an image."""
+    """Gives a mesh the triangles of a piece, and normals and texture coordinates if it has images."""
     vertices = piece.mesh.vertices
     faces = piece.mesh.faces
     if piece.uv is not None:
@@ -98,7 +101,7 @@ def _add_visuals(
     for index, piece in enumerate(pieces):
         mesh = spec.add_mesh(name=f"{name}.visual-{index}")
         set_surface(mesh, piece)
-        _add_visual(body, mesh, piece, add_texture(spec, piece.texture)).name = mesh.name
+        _add_visual(body, mesh, piece, add_material(spec, piece)).name = mesh.name
 
 
 def _add_visual(
@@ -129,15 +132,72 @@ def add_texture(spec: mujoco.MjSpec, texture: Texture | None, folder: str = "") 
     """
     if texture is None:
         return ""
+    name = _add_image(spec, texture, folder)
+    if spec.material(name) is None:
+        material = spec.add_material(name=name, specular=SPECULAR, shininess=SHININESS)
+        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+    return name
+
+
+def _add_image(spec: mujoco.MjSpec, texture: Texture, folder: str) -> str:
+    """Adds an image, once; its name."""
     name = texture.file_name.removesuffix(".png")
     if spec.texture(name) is None:
-        image = spec.add_texture(
-            name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=folder + texture.file_name
-        )
-        spec.assets = {**spec.assets, folder + texture.file_name: texture.data}
-        material = spec.add_material(name=name, specular=SPECULAR, shininess=SHININESS)
-        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = image.name
+        file = folder + texture.file_name
+        spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=file)
+        spec.assets = {**spec.assets, file: texture.data}
     return name
+
+
+def add_material(spec: mujoco.MjSpec, piece: Piece, folder: str = "") -> str:
+    """Adds the material of a piece, once; its name, empty if the piece has one colour and no finish.
+
+    A finish gives it `roughness`, `metallic`, the layers of its maps, and highlights for MuJoCo's own
+    renderer, which reads none of these. What lets light through says so by the alpha of its colour.
+
+    Args:
+      folder: where images will lie (`add_texture`).
+    """
+    if piece.finish is None:
+        return add_texture(spec, piece.texture, folder)
+    name = finish_name(piece)
+    if spec.material(name) is None:
+        material = spec.add_material(name=name, rgba=piece.rgba)
+        for key, value in finish_numbers(piece.finish).items():
+            setattr(material, key, value)
+        for role, image in layers_of(piece).items():
+            index = int(getattr(mujoco.mjtTextureRole, f"mjTEXROLE_{role.upper()}"))
+            material.textures[index] = _add_image(spec, image, folder)
+    return name
+
+
+def finish_numbers(finish: Finish) -> dict[str, float]:
+    """Attributes of a material in MJCF; highlights are those of the mean of a map."""
+    return {
+        "specular": finish.specular,
+        "shininess": finish.shininess,
+        "roughness": finish.roughness,
+        "metallic": finish.metallic,
+    }
+
+
+def layers_of(piece: Piece) -> dict[str, Texture]:
+    """The images of a piece by their role in MJCF."""
+    finish = piece.finish
+    maps = {} if finish is None else {"normal": finish.normal, "orm": finish.orm}
+    images = {"rgb": piece.texture} | maps
+    return {role: image for role, image in images.items() if image is not None}
+
+
+def finish_name(piece: Piece) -> str:
+    """What the material of a piece with a finish is called: pieces of equal looks share one."""
+    finish = piece.finish
+    assert finish is not None
+    numbers = [float(each) for each in (finish.roughness, finish.metallic, finish.transmission)]
+    images = (piece.texture, finish.normal, finish.orm)
+    names = [None if each is None else each.file_name for each in images]
+    text = json.dumps([list(map(float, piece.rgba)), numbers, names])
+    return f"finish-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
 
 
 def add_part(
@@ -345,7 +405,7 @@ def object_xml(
     spec.worldbody.add_light(pos=(0, 0, 2), dir=(0, 0, -1))
     for index, (piece, surface) in enumerate(zip(asset.pieces, surfaces, strict=True)):
         mesh = spec.add_mesh(name=f"{asset.name}.visual-{index}", file=surface)
-        _add_visual(body, mesh, piece, add_texture(spec, piece.texture, images))
+        _add_visual(body, mesh, piece, add_material(spec, piece, images))
         mesh.inertia = _KNOWN_TO_ALL if not piece.is_flat else mesh.inertia
     for geom in body.geoms:
         if geom.group == COLLISION_GROUP:

@@ -92,9 +92,7 @@ class ObjectAsset:
     @property
     def textures(self) -> tuple[Texture, ...]:
         """The images of its surfaces, each once."""
-        return tuple(
-            dict.fromkeys(piece.texture for piece in self.pieces if piece.texture is not None)
-        )
+        return tuple(dict.fromkeys(image for piece in self.pieces for image in piece.images))
 
     @property
     def drawn_pieces(self) -> tuple[Piece, ...]:

@@ -25,11 +25,12 @@ from weakref import WeakKeyDictionary
 import msgspec
 import numpy as np
 
+from cluttergen_jax.assets.finish import StoredFinish
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.mjcf import object_xml
 from cluttergen_jax.assets.obj import parse_surface, surface_text
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset, Quality, RestingPose
-from cluttergen_jax.assets.shape import Piece, Provenance, Texture
+from cluttergen_jax.assets.shape import Piece, Provenance, Texture, texture_name
 from cluttergen_jax.errors import AssetError, PoolError
 from cluttergen_jax.files import inside, read_inside, read_regular, write_atomically
 from cluttergen_jax.schema import (
@@ -198,6 +199,7 @@ class _Stored(msgspec.Struct, kw_only=True, omit_defaults=True):
     notes: tuple[str, ...] = ()
     synset: str = ""
     textures: list[str | None] | None = None
+    finishes: list[StoredFinish | None] | None = None
     format: int
     name: str
     label: str
@@ -220,12 +222,14 @@ def _floats(values: Iterable[Any]) -> Any:
 
 def _record(asset: ObjectAsset, contents: dict[str, bytes]) -> dict[str, Any]:
     images = [None if piece.texture is None else piece.texture.file_name for piece in asset.pieces]
+    finishes = [None if piece.finish is None else piece.finish.stored() for piece in asset.pieces]
     stored = _Stored(
         friction=None if asset.friction is None else float(asset.friction),
         scale=float(asset.scale),
         notes=asset.notes,
         synset=asset.synset,
         textures=images if any(images) else None,
+        finishes=finishes if any(finishes) else None,
         format=FORMAT,
         name=asset.name,
         label=asset.label,
@@ -256,11 +260,16 @@ def _asset(stored: _Stored, blobs: dict[str, bytes]) -> ObjectAsset:
     if len(stored.inertia) != 3 or min(row[axis] for axis, row in enumerate(stored.inertia)) < 0:
         raise ValueError("an inertia with a negative moment, or not of 3 x 3 numbers")
     files = stored.textures or [None] * len(stored.rgba)
-    textures = {name: Texture(blobs[name]) for name in files if name is not None}
+    finishes = stored.finishes or [None] * len(stored.rgba)
+    textures = {name: Texture(data) for name, data in blobs.items() if name.endswith(".png")}
     pieces = []
-    for i, (rgba, name) in enumerate(zip(stored.rgba, files, strict=True)):
+    for i, (rgba, name, said) in enumerate(zip(stored.rgba, files, finishes, strict=True)):
         mesh, uv = parse_surface(blobs[f"visual-{i}.obj"].decode("ascii"))
-        pieces.append(Piece(mesh, rgba, uv, None if name is None else textures[name]))
+        texture = None if name is None else textures[name]
+        finish = None
+        if said is not None:
+            finish = said.finish(lambda digest: textures[texture_name(digest)])
+        pieces.append(Piece(mesh, rgba, uv, texture, finish=finish))
     cloud = np.load(io.BytesIO(blobs[_CLOUD]), allow_pickle=False)
     check_numbers({"cloud": cloud}, {"cloud": Numbers("f4", (CLOUD_SIZE, 3))})
     return ObjectAsset(

@@ -12,6 +12,7 @@ import numpy as np
 from PIL import Image
 
 from cluttergen_jax.assets.config import MAX_TEXTURE
+from cluttergen_jax.assets.finish import Finish
 from cluttergen_jax.assets.mesh import ORIGIN, Mesh
 from cluttergen_jax.errors import AssetError
 
@@ -29,7 +30,7 @@ class Texture:
     """An image for surfaces. Textures of equal bytes are equal.
 
     Attributes:
-      data: a PNG file, RGB, 8 bits a channel, as shown (sRGB).
+      data: a PNG file, RGB, 8 bits a channel, as shown (sRGB); of a map of a `Finish`, linear.
     """
 
     data: bytes
@@ -106,12 +107,14 @@ class Piece:
     Attributes:
       mesh: in the shape's authored frame, z up, metres.
       rgba: each in [0, 1], sRGB as shown. With a texture, what its colours are multiplied by.
-      uv: f32[V, 2], for each vertex its place in the image, (0, 0) being the lower left corner; the image is
-        repeated beyond [0, 1]. A vertex on a seam of the image comes once for each side.
-      texture: the image. Either both `uv` and `texture` are given, or neither.
+      uv: f32[V, 2], for each vertex its place in the images, (0, 0) being the lower left corner; images are
+        repeated beyond [0, 1]. A vertex on a seam of an image comes once for each side. Given where there is
+        an image, `texture` or one of `finish`, and nowhere else.
+      texture: the image of its colours.
       colours: u8[V, 3], sRGB, a colour for each vertex that `rgba` multiplies, until an image is made of them
         (`visuals.bake_colours`); never beside an image.
       baked_side: pixels a side that the image may have, where it was made so; 0 for other images.
+      finish: how it reflects light; None where its file says nothing.
     """
 
     mesh: Mesh
@@ -120,14 +123,15 @@ class Piece:
     texture: Texture | None = None
     colours: np.ndarray | None = None
     baked_side: int = 0
+    finish: Finish | None = None
 
     def __post_init__(self) -> None:
         if self.colours is not None and (
             self.uv is not None or len(self.colours) != len(self.mesh.vertices)
         ):
             raise ValueError("colours beside an image, or not of every vertex")
-        if (self.uv is None) != (self.texture is None):
-            raise ValueError("a piece with a texture but no uv, or the other way round")
+        if (self.uv is None) == bool(self.images):
+            raise ValueError("a piece with an image but no uv, or the other way round")
         if self.uv is not None:
             uv = np.asarray(self.uv, np.float32)
             if uv.shape != (len(self.mesh.vertices), 2) or not np.isfinite(uv).all():
@@ -135,6 +139,20 @@ class Piece:
                     f"uv {uv.shape} of {len(self.mesh.vertices)} vertices, or not finite"
                 )
             object.__setattr__(self, "uv", uv)
+
+    @property
+    def images(self) -> tuple[Texture, ...]:
+        """All images that lie on it: that of its colours and the maps of its finish."""
+        colours = () if self.texture is None else (self.texture,)
+        return colours if self.finish is None else (*colours, *self.finish.images)
+
+    @property
+    def without_maps(self) -> Piece:
+        """The piece with a finish of numbers alone; what has no image then has no uv."""
+        if self.finish is None:
+            return self
+        uv = None if self.texture is None else self.uv
+        return replace(self, uv=uv, finish=self.finish.without_maps)
 
     def transform(self, rotation: np.ndarray, translation: np.ndarray = ORIGIN) -> Piece:
         """The piece with its mesh transformed: see `Mesh.transform`."""

@@ -16,6 +16,7 @@ from typing import Annotated, Any
 
 import msgspec
 
+from cluttergen_jax.assets.finish import StoredFinish
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.obj import mesh_text, parse_surface, part_name, surface_text
 from cluttergen_jax.assets.object_files import NAME_PATTERN, read_bytes
@@ -70,8 +71,7 @@ def write_support(folder: str | Path, support: SupportAsset, *, overwrite: bool 
         files = {}
         for index, piece in enumerate(support.pieces):
             files[f"visual-{index}.obj"] = surface_text(piece, _DIGITS).encode("ascii")
-            if piece.texture is not None:
-                files[piece.texture.file_name] = piece.texture.data
+            files |= {image.file_name: image.data for image in piece.images}
         for index, part in enumerate(support.parts):
             files[part_name(index)] = mesh_text(part.hull()).encode("ascii")
         for name, data in files.items():
@@ -233,6 +233,11 @@ def _record(support: SupportAsset) -> dict[str, Any]:
                 "rgba": _round(piece.rgba),
                 # A digest, so that the record tells one image from another.
                 **({} if piece.texture is None else {"texture": piece.texture.digest}),
+                **(
+                    {}
+                    if piece.finish is None
+                    else {"finish": _round(msgspec.to_builtins(piece.finish.stored()))}
+                ),
             }
             for index, piece in enumerate(support.pieces)
         ],
@@ -269,6 +274,7 @@ class _StoredPiece(msgspec.Struct):
     file: str
     rgba: _Rgba
     texture: Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")] | None = None
+    finish: StoredFinish | None = None
 
 
 class _Stored(msgspec.Struct):
@@ -382,10 +388,14 @@ def _faults_of_surfaces(surfaces: list[Surface], chosen: str) -> list[str]:
 
 def _piece(record: _StoredPiece, folder: Path) -> Piece:
     mesh, uv = parse_surface(read_regular(inside(folder, record.file)).decode("ascii"))
-    texture = None
-    if record.texture:
-        name = texture_name(record.texture)
-        texture = Texture(read_regular(inside(folder, name)))
-        if texture.digest != record.texture:
+
+    def image_of(digest: str) -> Texture:
+        name = texture_name(digest)
+        image = Texture(read_regular(inside(folder, name)))
+        if image.digest != digest:
             raise SchemaError(f"{name} is not the image that it was")
-    return Piece(mesh, record.rgba, uv, texture)
+        return image
+
+    texture = image_of(record.texture) if record.texture else None
+    finish = None if record.finish is None else record.finish.finish(image_of)
+    return Piece(mesh, record.rgba, uv, texture, finish=finish)

@@ -174,7 +174,7 @@ def _with_image(
 
 
 def _with_corners(
-    piece: Piece, mesh: Mesh, uv: np.ndarray, key: np.ndarray, texture: Texture
+    piece: Piece, mesh: Mesh, uv: np.ndarray, key: np.ndarray, texture: Texture | None
 ) -> Piece:
     """The piece with another mesh and an image; corners of one vertex and one key become one vertex again.
 
@@ -229,14 +229,13 @@ _STRETCH = 3.0
 
 
 def transfer_texture(piece: Piece, mesh: Mesh) -> Piece:
-    """The textured piece with `mesh` in place of its own, each corner's uv taken from the nearest old place.
+    """A piece with images on `mesh` instead of its own, each corner's uv taken from the nearest old place.
 
     The image is cut along seams, and what lies beyond a seam is elsewhere in the image. So the place of a new
     triangle's middle is found first, and its corners' places are taken only where the image runs on from
     there; elsewhere it is continued as it lies on the old triangle in the middle.
     """
     assert piece.uv is not None
-    assert piece.texture is not None
     old = piece.mesh
     uv = piece.uv.astype(np.float64)
     tree = cKDTree(old.vertices[old.faces].mean(1))
@@ -302,7 +301,7 @@ _COLOUR_STEPS = 32
 
 
 def simplify_pieces(pieces: Sequence[Piece], max_textured: int = MAX_TEXTURED) -> tuple[Piece, ...]:
-    """Pieces of like colour and image joined, welded and simplified.
+    """Pieces of like colour, image and finish joined, welded and simplified.
 
     To about 6,000 triangles in all without an image, and `max_textured` in all with one. Sheets are given
     their second side later, which can double their number.
@@ -310,14 +309,14 @@ def simplify_pieces(pieces: Sequence[Piece], max_textured: int = MAX_TEXTURED) -
     groups: dict[tuple[object, ...], list[Piece]] = {}
     for piece in pieces:
         colour = tuple(round(c * _COLOUR_STEPS) for c in piece.rgba)
-        groups.setdefault((piece.texture, *colour), []).append(piece)
+        groups.setdefault((piece.texture, piece.finish, *colour), []).append(piece)
     merged = [_merge(group) for group in groups.values()]
     merged = [piece for piece in merged if len(piece.mesh.faces)]
-    plain = sum(len(piece.mesh.faces) for piece in merged if piece.texture is None)
+    plain = sum(len(piece.mesh.faces) for piece in merged if piece.uv is None)
     textured = sum(len(piece.mesh.faces) for piece in merged) - plain
     out = []
     for piece in merged:
-        if piece.texture is None:
+        if piece.uv is None:
             small = _simplify(piece.mesh, min(1.0, MAX_TRIANGLES / plain))
             out.append(replace(piece, mesh=small))
         else:
@@ -329,7 +328,7 @@ def _merge(group: Sequence[Piece]) -> Piece:
     mesh = join_meshes([each.mesh for each in group])
     uvs = [each.uv for each in group if each.uv is not None]
     if not uvs:
-        return Piece(clean_mesh(mesh), group[0].rgba)
+        return replace(group[0], mesh=clean_mesh(mesh))
     uv = np.concatenate(uvs)
     small, kept = weld(mesh, uv)
     return replace(group[0], mesh=small, uv=uv[kept])

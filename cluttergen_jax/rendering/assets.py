@@ -18,7 +18,7 @@ from cluttergen_jax.assets.doors import are_closed
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.mjcf import (
     VISUAL_GROUP,
-    add_texture,
+    add_material,
     new_spec,
     populated_spec,
     set_surface,
@@ -63,7 +63,7 @@ def _add_surface(spec: mujoco.MjSpec, name: str, piece: Piece, offset: np.ndarra
         meshname=name,
         pos=offset,
         rgba=piece.rgba,
-        material=add_texture(spec, piece.texture),
+        material=add_material(spec, piece),
         contype=0,
         conaffinity=0,
         group=VISUAL_GROUP,

@@ -17,7 +17,7 @@ import pytest
 import cluttergen_jax as cg
 from cluttergen_jax import bank_reader
 from cluttergen_jax.assets.mesh import Mesh
-from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.shape import Piece, Texture
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.config import ROBUST_TILT, ContactConfig, StabilityConfig, VerifyConfig
 from cluttergen_jax.judging.verify import verify_files
@@ -28,7 +28,7 @@ from cluttergen_jax.scene.bank.record import index_bytes
 from cluttergen_jax.scene.bank.table import SCHEMA
 from cluttergen_jax.scene.export.mjcf import scene_xml
 from cluttergen_jax.schema import digest_of
-from tests.helpers import banks, textured
+from tests.helpers import banks, shiny, textured
 from tests.helpers.environments import python_with
 from tests.helpers.exports import dining_scene, fourteen_scenes, row_of, spread
 
@@ -239,6 +239,36 @@ def test_older_versions_get_the_words_that_they_know(rich):
     # Otherwise they say the same.
     unlike = ["nativeccd", "inertia"]
     assert all(elements(text, unlike) == elements(bank.xml(0), unlike) for text in known.values())
+
+
+def test_it_knows_finishes(tmp_path):
+    """Roughness, metalness and layers are said as in scene files, to MuJoCo that reads them."""
+    orm = Texture.of(shiny.gloss(0.5, 0.8))
+    dull = shiny.asset("dull", has_image=False, normal=None, roughness=0.9, metallic=0.0)
+    scene = textured.scene(shiny.asset("brass", orm=orm), dull, textured.asset("plain"))
+    recipe = {"names": list(scene.names), "stability": asdict(scene.stability)}
+    recipe |= {"contact": asdict(scene.contact)}
+    with BankWriter(tmp_path / "bank", recipe, 1, scene.assets, scene.support) as writer:
+        writer.write_block(0, pa.Table.from_pylist([row_of(scene, 0, True)], schema=SCHEMA))
+    assert len(list((tmp_path / "bank" / "assets" / "textures").iterdir())) == 3
+    wanted = scene_xml(
+        scene.objects,
+        scene.poses.astype(np.float32),
+        scene.support,
+        scene.stability,
+        scene.contact,
+        names=scene.names,
+    )
+    bank = bank_reader.Bank(tmp_path / "bank")
+    given = bank.xml(0, assets="../assets")
+    assert elements(given, ["inertia"]) == elements(wanted, ["inertia"])
+    assert "<layer" in given
+    assert bank.asset("brass").finishes[0]["orm"].read_bytes() == orm.data
+    assert bank.asset("plain").finishes == (None,)
+    assert sorted(bank.model(0).mat_roughness) == pytest.approx([-1, 0.1, 0.9])
+    for version, words in {"3.1.6": 0, "3.2.3": 1, "3.2.7": 2}.items():
+        text = bank.xml(0, version=version)
+        assert [word in text for word in ("roughness=", "<layer")] == [words > 0, words > 1]
 
 
 ALONE = """

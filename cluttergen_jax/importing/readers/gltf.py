@@ -98,7 +98,11 @@ def is_coloured_by_vertices(document: Json, primitive: Json) -> bool:
     """Whether the colours at a primitive's vertices are all that it has: its material is white."""
     if "COLOR_0" not in primitive["attributes"] or "material" not in primitive:
         return False
-    material = document["materials"][primitive["material"]]
+    return is_white(document["materials"][primitive["material"]])
+
+
+def is_white(material: Json) -> bool:
+    """Whether a material leaves colours as they are."""
     look = material.get("pbrMetallicRoughness", {})
     if "KHR_materials_pbrSpecularGlossiness" in material.get("extensions", {}):
         # The colour is there.
@@ -256,11 +260,12 @@ _UNDERSTOOD = (
     "EXT_texture_webp",
 )
 # They say how a surface looks, or nothing about it: the shape is the same without them.
+TRANSMISSION = "KHR_materials_transmission"
 _OF_LOOKS = (
     *("KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "KHR_lights_"),
     *("EXT_lights_", "KHR_xmp", "KHR_animation_pointer"),
 )
-_DRAWN_ALIKE = ("KHR_materials_unlit", "KHR_materials_pbrSpecularGlossiness")
+_DRAWN_ALIKE = ("KHR_materials_unlit", "KHR_materials_pbrSpecularGlossiness", TRANSMISSION)
 _NO_SURFACE = (0, 1, 2, 3)
 """Modes of primitives that are points and lines."""
 
@@ -331,8 +336,10 @@ _FAN = 6
 _MOST_COPIES = 10_000
 
 
-def plain_glb(path: Path) -> bytes | None:
-    """The file as GLB with floats alone, one mesh for each that is drawn; None if it is so already.
+def plain_gltf(path: Path) -> tuple[bytes, str]:
+    """A file that trimesh reads wholly, and its suffix: floats alone, one mesh for each that is drawn.
+
+    Its materials are called by their numbers, since names may be missing or come twice.
 
     Raises:
       AssetError: it needs an extension that is not understood, or cannot be read.
@@ -340,7 +347,19 @@ def plain_glb(path: Path) -> bytes | None:
     document = read_document(path)
     check_understood(path, document)
     _check_tree(path, document)
-    return _Plain(path, document).build() if _is_not_plain(document) else None
+    if not document:
+        return path.read_bytes(), path.suffix.lower()[1:]
+    materials = [
+        {**each, "name": str(index)} for index, each in enumerate(document.get("materials", []))
+    ]
+    document |= {"materials": materials} if materials else {}
+    if _is_not_plain(document):
+        return _Plain(path, document).build(), "glb"
+    with path.open("rb") as file:
+        is_binary = file.read(4) == b"glTF"
+    if is_binary:
+        return glb(document, _binary_chunk(path)), "glb"
+    return json.dumps(document).encode(), "gltf"
 
 
 def _check_tree(path: Path, document: Json) -> None:
@@ -379,7 +398,7 @@ def _is_not_plain(document: Json) -> bool:
                 or primitive.get("mode") == _FAN
             ):
                 return True
-            # trimesh takes the material's colour, white, for that of its vertices.
+            # trimesh leaves colours at vertices as they are, which may be integers.
             if is_coloured_by_vertices(document, primitive):
                 return True
     return False
@@ -508,8 +527,7 @@ class _Plain:
         new = {"attributes": attributes, "mode": mode}
         if indices is not None:
             new["indices"] = self._accessor(indices[:, None].astype(np.uint32))
-        is_material_kept = "material" in old and not is_coloured_by_vertices(self._old, old)
-        return new | ({"material": old["material"]} if is_material_kept else {})
+        return new | ({"material": old["material"]} if "material" in old else {})
 
     def _apply_skin(
         self, points: np.ndarray, arrays: dict[str, np.ndarray], skin: Json

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
+from cluttergen_jax.assets.finish import Finish
 from cluttergen_jax.assets.mass import MassProperties, combine_masses
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece, Texture
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import primitives
+from cluttergen_jax.importing.readers.finishes import Finisher
 from cluttergen_jax.importing.readers.materials import GREY, Rgba
 from cluttergen_jax.importing.readers.mesh_file import read_mesh_file
 from cluttergen_jax.importing.readers.model import Model, convex_parts
-from cluttergen_jax.importing.readers.opening import is_found_elsewhere, mesh_place
+from cluttergen_jax.importing.readers.opening import is_found_elsewhere, mesh_place, read_file
 from cluttergen_jax.importing.readers.xml_tree import (
     Element,
     all_numbers,
@@ -41,10 +45,12 @@ class SurfaceLook:
     Attributes:
       colour: for what has none of its own; grey where the file says nothing.
       texture: for meshes that have texture coordinates and no image of their own.
+      finish: for what has none of its own.
     """
 
     colour: Rgba = GREY
     texture: Texture | None = None
+    finish: Finish | None = None
 
 
 @dataclass(frozen=True)
@@ -89,9 +95,34 @@ class Surfaces:
             replace(
                 piece.transform(rotation, translation),
                 rgba=look.colour if piece.rgba == GREY else piece.rgba,
+                finish=piece.finish or self._laid(look.finish, piece),
             )
             for piece in pieces
         ]
+
+    def _laid(self, finish: Finish | None, piece: Piece) -> Finish | None:
+        """A finish as it can be on a piece: maps need texture coordinates, kept beside an image."""
+        if finish is None or not finish.images or piece.uv is not None:
+            return finish
+        self.notes.append("the maps of a surface without an image on it are left out")
+        return finish.without_maps
+
+    @cached_property
+    def finisher(self) -> Finisher:
+        """Makes finishes; its notes are those of the model."""
+        return Finisher(self.max_side, self.notes.append)
+
+    def picture(self, name: str) -> Image.Image | None:
+        """The image in a file that the model calls `name`, as it is; None, with a note, if there is none."""
+        file = mesh_place(self.path, name)
+        if file is None:
+            self.notes.append(f"the image {name!r} is left out: it is not there")
+            return None
+        try:
+            return Image.open(io.BytesIO(read_file(file)))
+        except (AssetError, OSError, ValueError, Image.DecompressionBombError) as error:
+            self.notes.append(f"the image {name!r} is left out: {error}")
+            return None
 
     def image(self, name: str, file: Path | None) -> Texture | None:
         """The image in a file that the model calls `name`; None, with a note, if there is none."""

@@ -8,14 +8,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 from PIL import Image
 
+from cluttergen_jax.assets.finish import Finish
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece, Texture
 from cluttergen_jax.errors import AssetError
+from cluttergen_jax.importing.readers.finishes import Finisher, Open, mtl_alpha, seen_through
 from cluttergen_jax.importing.readers.gltf import (
+    Json,
     extension_notes,
     is_coloured_by_vertices,
+    is_white,
     primitives_of,
     read_document,
 )
@@ -69,8 +74,10 @@ def vary(colours: np.ndarray) -> bool:
 Rgba = tuple[float, float, float, float]
 GREY: Rgba = (0.7, 0.7, 0.7, 1.0)
 _OPAQUE = 250
-_PBR_MAPS = ("normalTexture", "metallicRoughnessTexture", "occlusionTexture", "emissiveTexture")
-_MTL_MAP = re.compile(r"map_(?!k[ad]$).+|bump|norm|disp|decal|refl")
+_FAINTEST = 0.2
+"""Alpha of what is to be seen."""
+_PBR_MAPS = ("occlusionTexture", "emissiveTexture")
+_MTL_MAP = re.compile(r"map_(?!k[ad]$|p[rm]$|bump$).+|disp|decal|refl")
 _GREYISH = 0.02
 """How far the channels of a grey differ at most, of 1."""
 _LIGHT = 0.5
@@ -84,15 +91,27 @@ class Dresser:
       is_linear: whether colours are stored as in glTF, linear.
       max_side: pixels that an image may have a side.
       image: for surfaces that have uv but no image of their own.
+      records: the materials of a glTF file as it has them, which trimesh calls by their numbers.
+      open_image: opens images that an MTL file names.
 
     Attributes:
       notes: what was lost, in words.
     """
 
-    def __init__(self, is_linear: bool, max_side: int, image: Texture | None = None) -> None:
+    def __init__(
+        self,
+        is_linear: bool,
+        max_side: int,
+        image: Texture | None = None,
+        records: Sequence[Json] = (),
+        open_image: Open | None = None,
+    ) -> None:
         self._is_linear = is_linear
         self._max_side = max_side
         self._image = image
+        self._records = records
+        self._open_image = open_image
+        self._finisher = Finisher(max_side, self._note)
         self._known: dict[int, tuple[Image.Image, Texture | None]] = {}
         self.notes: list[str] = []
 
@@ -100,24 +119,62 @@ class Dresser:
         """The mesh with what a trimesh visual lays on it."""
         uv = _uv(visual, len(mesh.vertices))
         image = _image_of(visual)
-        if others := _other_maps(getattr(visual, "material", None)):
-            self._note(f"of its materials the base colour alone is kept, not {', '.join(others)}")
+        if others := _other_maps(getattr(visual, "material", None), is_gltf=bool(self._records)):
+            self._note(f"of its materials {', '.join(others)} is not kept")
+        finish = self._finish(visual, uv is not None)
         texture = self._image
         rgba = (1.0, 1.0, 1.0, 1.0)
         if image is not None:
             texture = self._texture(image, visual.material)
             rgba = self._factor(visual.material)
         if texture is not None and uv is not None:
-            return Piece(mesh, rgba, uv, texture)
+            return Piece(mesh, seen_through(rgba, finish), uv, texture, finish=finish)
         if image is not None and uv is None:
             self._note(
                 "a surface has an image but no sound texture coordinates: it gets one colour"
             )
+        visual = self._coloured(mesh, visual)
         rgba = mean_colour(visual, self._is_linear)
+        if visual.kind == "texture" and rgba != GREY:
+            alpha = min(mtl_alpha(getattr(visual.material, "kwargs", {})), 1.0)
+            rgba = (*rgba[:3], max(round(rgba[3] * alpha, 4), _FAINTEST))
+        rgba = seen_through(rgba, finish)
         if visual.kind in ("vertex", "face") and (found := _many_colours(mesh, visual)) is not None:
             mesh, colours = found
-            return Piece(mesh, (1.0, 1.0, 1.0, rgba[3]), colours=colours)
-        return Piece(mesh, rgba)
+            if finish is not None and finish.images:
+                self._note("the maps of a surface with colours at its vertices are left out")
+                finish = finish.without_maps
+            return Piece(mesh, (1.0, 1.0, 1.0, rgba[3]), colours=colours, finish=finish)
+        is_mapped = finish is not None and bool(finish.images)
+        return Piece(mesh, rgba, uv if is_mapped else None, finish=finish)
+
+    def _finish(self, visual: Any, has_uv: bool) -> Finish | None:
+        """What the material of a surface says beside its colour: of glTF and MTL."""
+        material = getattr(visual, "material", None)
+        if (record := self._record(material)) is not None:
+            return self._finisher.of_gltf(material, record, has_uv)
+        said = getattr(material, "kwargs", None)
+        if said is None or self._open_image is None:
+            return None
+        return self._finisher.of_mtl(said, self._open_image, has_uv)
+
+    def _record(self, material: Any) -> Json | None:
+        """A material of glTF as its file has it."""
+        name = str(getattr(material, "name", ""))
+        is_one = name.isdecimal() and int(name) < len(self._records)
+        return self._records[int(name)] if is_one else None
+
+    def _coloured(self, mesh: Mesh, visual: Any) -> Any:
+        """The visual, or that of the colours at its vertices, where its material of glTF is white."""
+        colours = getattr(visual, "vertex_attributes", {}).get("color")
+        record = self._record(getattr(visual, "material", None))
+        if colours is None or record is None or not is_white(record):
+            return visual
+        if len(colours) != len(mesh.vertices):
+            return visual
+        return trimesh.Trimesh(
+            mesh.vertices, mesh.faces, vertex_colors=colours, process=False
+        ).visual
 
     def _texture(self, image: Image.Image, material: Any) -> Texture | None:
         if id(image) not in self._known:
@@ -157,7 +214,7 @@ class Dresser:
                 self._note(
                     f"an image is drawn as it is, not multiplied by its material's colour (Kd {text})"
                 )
-            return _rgba([1.0, 1.0, 1.0, (_numbers(kept.get("d"), 1) or [1.0])[0]])
+            return _rgba([1.0, 1.0, 1.0, mtl_alpha(kept)])
         factor = getattr(material, "baseColorFactor", None)
         if factor is None:
             return (1.0, 1.0, 1.0, 1.0)
@@ -197,9 +254,10 @@ def _image_of(visual: Any) -> Image.Image | None:
     return image if image is not None and image.format is not None else None
 
 
-def _other_maps(material: Any) -> list[str]:
-    """What a material lays on a surface beside its colour: relief, gloss, light, holes."""
-    named = [name for name in _PBR_MAPS if getattr(material, name, None) is not None]
+def _other_maps(material: Any, is_gltf: bool) -> list[str]:
+    """What a material lays on a surface and is not kept: light, holes, other relief than of glTF and MTL."""
+    maps = _PBR_MAPS if is_gltf else (*_PBR_MAPS, "normalTexture")
+    named = [name for name in maps if getattr(material, name, None) is not None]
     return named + sorted(key for key in getattr(material, "kwargs", {}) if _MTL_MAP.fullmatch(key))
 
 
@@ -237,7 +295,7 @@ def _srgb(values: np.ndarray) -> np.ndarray:
 def _rgba(values: Iterable[float]) -> Rgba:
     """To a 255th: never quite the grey of one half, which MuJoCo takes for no colour at all."""
     r, g, b, a = (round(round(255 * min(max(float(value), 0.0), 1.0)) / 255, 4) for value in values)
-    return r, g, b, max(a, 0.2)
+    return r, g, b, max(a, _FAINTEST)
 
 
 def mean_colour(visual: Any, is_linear: bool = False) -> Rgba:
@@ -253,7 +311,7 @@ def mean_colour(visual: Any, is_linear: bool = False) -> Rgba:
         return GREY
     mean = np.asarray(colours, np.float64).reshape(-1, 4).mean(0).clip(0, 1)
     r, g, b, a = (round(each, 4) for each in mean.tolist())
-    return r, g, b, max(a, 0.2)
+    return r, g, b, max(a, _FAINTEST)
 
 
 def _texture_colours(visual: Any, is_linear: bool) -> np.ndarray:
@@ -265,6 +323,13 @@ def _texture_colours(visual: Any, is_linear: bool) -> np.ndarray:
     main = np.asarray(material.main_color, np.float64) / 255.0
     main = np.append(_srgb(main[:3]), main[3:]) if is_linear else main
     return np.append(main[:3], 1.0) if _is_opaque(material) else main
+
+
+_IMAGES_OF_GLTF = {
+    "baseColorTexture": "image",
+    "metallicRoughnessTexture": "map of roughness and metalness",
+    "normalTexture": "normal map",
+}
 
 
 def gltf_notes(path: Path, materials: Sequence[Any]) -> Iterator[str]:
@@ -279,19 +344,20 @@ def gltf_notes(path: Path, materials: Sequence[Any]) -> Iterator[str]:
     dressed = [each for each in coloured if "material" in each]
     if not all(is_coloured_by_vertices(document, each) for each in dressed):
         yield LEFT_OUT
-    has_image = {
-        each.name for each in materials if getattr(each, "baseColorTexture", None) is not None
-    }
-    read = {each.name for each in materials if each is not None}
+    read = {each.name: each for each in materials if each is not None}
     for index, material in enumerate(document.get("materials", [])):
         # A name is optional.
         own = material.get("name")
         name = f"number {index}" if own is None else own
-        image = material.get("pbrMetallicRoughness", {}).get("baseColorTexture")
+        look = material.get("pbrMetallicRoughness", {})
+        known = read.get(str(index))
+        for key, what in _IMAGES_OF_GLTF.items():
+            is_named = key in look or key in material
+            if is_named and known is not None and getattr(known, key, None) is None:
+                yield f"the {what} of material {name!r} cannot be read"
+        image = look.get("baseColorTexture")
         if image is None:
             continue
-        if own in read and own not in has_image:
-            yield f"the image of material {name!r} cannot be read"
         if "KHR_texture_transform" in image.get("extensions", {}):
             yield f"the image of material {name!r} is transformed (KHR_texture_transform): that is ignored"
         if image.get("texCoord", 0) != 0:

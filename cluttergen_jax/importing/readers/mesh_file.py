@@ -39,7 +39,8 @@ from cluttergen_jax.importing.readers.damage import (
     sound_stl,
     unreadable,
 )
-from cluttergen_jax.importing.readers.gltf import plain_glb
+from cluttergen_jax.importing.readers.finishes import with_exponents
+from cluttergen_jax.importing.readers.gltf import plain_gltf, read_document
 from cluttergen_jax.importing.readers.materials import (
     LEFT_OUT,
     Dresser,
@@ -83,8 +84,9 @@ class MeshInput(NamedTuple):
 def mesh_input(path: Path) -> MeshInput:
     """A mesh file in a form that trimesh understands."""
     suffix = path.suffix.lower()
-    if suffix in (".glb", ".gltf") and (plain := plain_glb(path)) is not None:
-        return MeshInput(io.BytesIO(plain), "glb")
+    if suffix in (".glb", ".gltf"):
+        data, kind = plain_gltf(path)
+        return MeshInput(io.BytesIO(data), kind)
     if suffix == ".dae" and (named := plain_collada(path)) is not None:
         return MeshInput(io.BytesIO(named), "dae")
     if suffix not in (".obj", ".ply", ".stl"):
@@ -119,7 +121,7 @@ def _plain_obj(data: bytes) -> bytes:
 
 
 _NAMED = {
-    ".mtl": rb"^[ \t]*+map_[Kk][Dd][ \t]++([^\n]++)$",
+    ".mtl": rb"^[ \t]*+(?i:map_kd|map_pr|map_pm|map_bump|bump|norm)[ \t]++([^\n]++)$",
     ".gltf": rb'"uri"\s*:\s*"([^"]{1,1000})"',
     ".dae": rb"<init_from>([^<]++)</init_from>",
 }
@@ -168,6 +170,7 @@ class Companions(trimesh.resolvers.FilePathResolver):
     def __init__(self, path: Path) -> None:
         super().__init__(str(path))
         self._path = path
+        self._images: dict[Path, Image.Image] = {}
         self.notes: list[str] = []
 
     def get(self, name: str) -> bytes:
@@ -190,6 +193,22 @@ class Companions(trimesh.resolvers.FilePathResolver):
                 raise
         return data
 
+    def image(self, name: str) -> Image.Image:
+        """The image that a material names behind its options (AssetError: why it cannot be opened)."""
+        found = find_named(self._path.parent, name)
+        if found is None:
+            raise AssetError(f"{name!r} is not there")
+        if found not in self._images:
+            try:
+                self._images[found] = Image.open(io.BytesIO(read_file(found)))
+            except AssetError:
+                raise
+            except Exception as error:  # Pillow's decoders raise whatever they do.
+                raise AssetError(f"{found.name} cannot be read as an image") from error
+        if OPTIONS.match(name):
+            self.notes.append(f"the options of an image are ignored ({name})")
+        return self._images[found]
+
     def _materials(self) -> bytes:
         """The content of all material files of an OBJ file."""
         texts = []
@@ -197,7 +216,7 @@ class Companions(trimesh.resolvers.FilePathResolver):
             if found is None:
                 self._miss(name)
             else:
-                texts.append(as_utf8(read_file(found, MOST_WORDS)))
+                texts.append(with_exponents(as_utf8(read_file(found, MOST_WORDS))))
         text = b"\n".join(texts)
         if texts:
             used = dict.fromkeys(_names(_USED, as_utf8(self._path.read_bytes())))
@@ -276,7 +295,8 @@ def read_mesh_file(
     is_gltf = path.suffix.lower() in (".glb", ".gltf")
     is_collada = path.suffix.lower() == ".dae"
     unit = unit_of(path) if is_collada else 1.0
-    dresser = Dresser(is_gltf, max_side, image)
+    records = read_document(path).get("materials", []) if is_gltf else []
+    dresser = Dresser(is_gltf, max_side, image, records, beside.image)
     pieces = []
     materials = []
     names = []

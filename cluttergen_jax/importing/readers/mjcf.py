@@ -26,12 +26,14 @@ from PIL import Image
 from cluttergen_jax.assets.cloud import sample_surface
 from cluttergen_jax.assets.config import MAX_TEXTURE
 from cluttergen_jax.assets.deviation import is_within_parts
+from cluttergen_jax.assets.finish import Finish
 from cluttergen_jax.assets.mass import MassProperties, combine_masses
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.parts import sound_points
 from cluttergen_jax.assets.shape import Joint, Piece, Texture
 from cluttergen_jax.errors import AssetError, first_names
 from cluttergen_jax.importing.readers import primitives
+from cluttergen_jax.importing.readers.finishes import Finisher
 from cluttergen_jax.importing.readers.mjcf_compile import NO_MASS, compile_with_notes, parse_mjcf
 from cluttergen_jax.importing.readers.model import (
     MAX_PARTS,
@@ -185,7 +187,14 @@ def _pieces(faces: np.ndarray, middles: np.ndarray) -> np.ndarray:
     )
 
 
-_RGB = mujoco.mjtTextureRole.mjTEXROLE_RGB
+_ROLE = mujoco.mjtTextureRole
+_RGB = _ROLE.mjTEXROLE_RGB
+_MAPS = (
+    _ROLE.mjTEXROLE_NORMAL,
+    _ROLE.mjTEXROLE_ORM,
+    _ROLE.mjTEXROLE_ROUGHNESS,
+    _ROLE.mjTEXROLE_METALLIC,
+)
 _PROJECTED = (_GEOM.mjGEOM_MESH, _GEOM.mjGEOM_SDF, _GEOM.mjGEOM_HFIELD)
 _NOT_CONVEX = (_GEOM.mjGEOM_PLANE, _GEOM.mjGEOM_HFIELD, _GEOM.mjGEOM_SDF)
 _ROUND = (_GEOM.mjGEOM_CYLINDER, _GEOM.mjGEOM_CAPSULE)
@@ -294,16 +303,22 @@ class Geom:
         """
         r, g, b, alpha = self.rgba
         colour = (r, g, b, alpha or 1.0)
-        if (picture := self._picture) is None:
-            return Piece(self.mesh(), colour)
-        if (flat := picture.flat_colour) is not None:
+        finish, _ = self._finish(max_side)
+        picture = self._picture
+        if picture is not None and (flat := picture.flat_colour) is not None:
             r, g, b = (flat * colour[:3]).tolist()
-            return Piece(self.mesh(), (r, g, b, colour[3]))
-        if not picture.is_2d and self._has_own_places:
-            # MuJoCo does not draw it.
-            return Piece(self.mesh(), colour)
-        mesh, uv, texture = self._with_picture(picture, max_side)
-        return Piece(self._place(mesh), colour, uv, texture)
+            colour = (r, g, b, colour[3])
+            picture = None
+        # MuJoCo draws no cube map on texture coordinates.
+        if picture is not None and (picture.is_2d or not self._has_own_places):
+            mesh, uv, texture = self._with_picture(picture, max_side)
+            piece = Piece(self._place(mesh), colour, uv, texture, finish=finish)
+            return piece if picture.is_2d else piece.without_maps
+        if finish is not None and finish.images and self._has_own_places:
+            mesh = _with_own_corners(self._own_mesh())
+            uv = self._own_places() * [1, -1] + [0, 1]
+            return Piece(self._place(mesh), colour, uv, finish=finish)
+        return Piece(self.mesh(), colour, finish=None if finish is None else finish.without_maps)
 
     def mesh(self, sections: int = 32) -> Mesh:
         """Its surface in the world frame.
@@ -315,6 +330,7 @@ class Geom:
 
     def notes(self) -> Iterator[str]:
         """Where its look is not what its file alone lets one expect."""
+        yield from self._finish(MAX_TEXTURE)[1]
         if (picture := self._picture) is None:
             return
         name = self.model.texture(picture.index).name
@@ -347,6 +363,25 @@ class Geom:
         index = int(self.model.mat_texid[self._material, _RGB]) if self._material >= 0 else -1
         is_drawn = index >= 0 and self.model.tex_nchannel[index] >= 3
         return _Picture(self.model, index) if is_drawn else None
+
+    def _finish(self, max_side: int) -> tuple[Finish | None, tuple[str, ...]]:
+        """What its material says of roughness and metalness, with its maps; None if nothing. And notes."""
+        if self._material < 0:
+            return None, ()
+        of = self.model
+        numbers = (float(of.mat_roughness[self._material]), float(of.mat_metallic[self._material]))
+        images = tuple(self._map(role) for role in _MAPS)
+        return _finish_of(numbers, images, max_side)
+
+    def _map(self, role: mujoco.mjtTextureRole) -> tuple[bytes, tuple[int, ...]] | None:
+        """The pixels, and their shape, of its material's picture in a role other than that of colours."""
+        index = int(self.model.mat_texid[self._material, role])
+        if index < 0:
+            return None
+        of = self.model
+        shape = tuple(int(n[index]) for n in (of.tex_height, of.tex_width, of.tex_nchannel))
+        start = int(of.tex_adr[index])
+        return of.tex_data[start : start + math.prod(shape)].tobytes(), shape
 
     @property
     def _has_own_places(self) -> bool:
@@ -401,7 +436,7 @@ class Geom:
         mesh = self._own_mesh()
         pixels = picture.pixels
         if picture.is_2d:
-            corners = Mesh(mesh.vertices[mesh.faces.ravel()], np.arange(3 * len(mesh.faces)))
+            corners = _with_own_corners(mesh)
             places = self._own_places() if self._has_own_places else self._flat_places(corners)
             return corners, places * [1, -1] + [0, 1], _texture(pixels, max_side)
         width = pixels.shape[1]
@@ -458,6 +493,46 @@ class Geom:
             beyond = np.maximum(np.abs(points[:, 2]) - size[2], 0) / size[0]
             unit[:, 2] = np.sign(unit[:, 2]) * (np.minimum(np.abs(unit[:, 2]), 1) + beyond)
         return unit * size if self._is_uniform else unit
+
+
+@lru_cache(maxsize=4)
+def _finish_of(
+    numbers: tuple[float, float],
+    images: tuple[tuple[bytes, tuple[int, ...]] | None, ...],
+    max_side: int,
+) -> tuple[Finish | None, tuple[str, ...]]:
+    """A finish, made once for all geoms of a material, and notes.
+
+    Args:
+      numbers: roughness and metallic, below 0 where the file does not say them.
+      images: pixels in the roles `_MAPS`.
+    """
+    normal, both, roughness, metallic = (None if each is None else _image(*each) for each in images)
+    roughness = both or roughness
+    metallic = both or metallic
+    given = {
+        name: value if value >= 0 else 1.0
+        for name, value, image in zip(
+            ("roughness", "metallic"), numbers, (roughness, metallic), strict=True
+        )
+        if value >= 0 or image is not None
+    }
+    notes: list[str] = []
+    finisher = Finisher(max_side, notes.append)
+    finish = finisher.finish(given, finisher.normal(normal), finisher.orm(roughness, metallic))
+    return finish, tuple(notes)
+
+
+def _image(data: bytes, shape: tuple[int, ...]) -> Image.Image:
+    pixels = np.frombuffer(data, np.uint8).reshape(shape)
+    return Image.fromarray(
+        np.ascontiguousarray(pixels[..., :3] if shape[2] > 2 else pixels[..., 0])
+    )
+
+
+def _with_own_corners(mesh: Mesh) -> Mesh:
+    """The mesh with vertices of its own for each triangle."""
+    return Mesh(mesh.vertices[mesh.faces.ravel()], np.arange(3 * len(mesh.faces)))
 
 
 def _texture(pixels: np.ndarray, max_side: int) -> Texture:

@@ -6,8 +6,8 @@ Includes are put where Gazebo and Drake put them.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -235,11 +235,14 @@ class Paint:
     Attributes:
       colour: None where it says nothing.
       image: what it calls its image, empty if it has none; file: where that is, None if it is not there.
+      numbers: of its finish. maps: the files of its finish's maps, by the tags of SDF.
     """
 
     colour: Rgba | None = None
     image: str = ""
     file: Path | None = None
+    numbers: Mapping[str, float] = field(default_factory=dict)
+    maps: Mapping[str, str] = field(default_factory=dict)
 
 
 # Gazebo's own, which lie in its program's folder.
@@ -303,6 +306,7 @@ _FORMS = ("mesh", "box", "cylinder", "sphere", "capsule", "ellipsoid")
 _MOST_FRAMES = 100
 """Frames that hang on each other in a row."""
 _SCRIPTS = ("materials/scripts", ".")
+_MAPS = ("normal_map", "roughness_map", "metalness_map")
 
 
 def read_sdf(source: ObjectFile, max_side: int = MAX_TEXTURE) -> Model:
@@ -508,6 +512,7 @@ class _Looks:
 
     def of(self, element: Element) -> SurfaceLook:
         """Of a <visual>: an image for physically based rendering goes before a script, that before a colour.
+        The finish is that of the workflow with metalness.
 
         A surface whose mesh has an image keeps it.
         """
@@ -518,15 +523,43 @@ class _Looks:
             share = float(np.clip(number(self._path, element, "transparency"), 0, 1))
             colour = (*colour[:3], colour[3] * (1 - share))
         texture = self._surfaces.image(paint.image, paint.file) if paint.image else None
-        return SurfaceLook(colour, texture)
+        maps = {tag: self._surfaces.picture(name) for tag, name in paint.maps.items()}
+        finisher = self._surfaces.finisher
+        finish = finisher.finish(
+            paint.numbers,
+            finisher.normal(maps.get("normal_map")),
+            finisher.orm(maps.get("roughness_map"), maps.get("metalness_map")),
+        )
+        return SurfaceLook(colour, texture, finish)
 
     def _paint(self, material: Element) -> Paint:
         tag = next((each for each in ("diffuse", "ambient") if material.find(each) is not None), "")
         colour = self._surfaces.colour(material, tag) if tag else None
+        paint = Paint(colour)
+        if (said := material.find("pbr/metal")) is not None:
+            paint = Paint(colour, numbers=self._numbers(said), maps=_maps(said))
         for workflow in ("metal", "specular"):
             if image := (material.findtext(f"pbr/{workflow}/albedo_map") or "").strip():
-                return Paint(colour, image, mesh_place(self._path, image))
+                return replace(paint, image=image, file=mesh_place(self._path, image))
         name = (material.findtext("script/name") or "").strip()
         if name and name not in self._paints:
             self._surfaces.notes.append(f"material {name!r} is named and nowhere defined")
-        return self._paints.get(name, Paint(colour))
+        scripted = self._paints.get(name, paint)
+        return replace(scripted, numbers=paint.numbers, maps=paint.maps)
+
+    def _numbers(self, said: Element) -> dict[str, float]:
+        """Roughness and metalness; a map stands in place of its number."""
+        maps = _maps(said)
+        numbers = {}
+        for name, tag in (("roughness", "roughness"), ("metallic", "metalness")):
+            if f"{tag}_map" in maps:
+                numbers[name] = 1.0
+            elif said.find(tag) is not None:
+                numbers[name] = number(self._path, said, tag, is_finite=False)
+        return numbers
+
+
+def _maps(said: Element) -> dict[str, str]:
+    """What a description of physically based rendering calls its maps, by their tags."""
+    named = {tag: (said.findtext(tag) or "").strip() for tag in _MAPS}
+    return {tag: name for tag, name in named.items() if name}

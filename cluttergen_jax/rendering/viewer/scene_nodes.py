@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import trimesh
+from PIL import Image
 
 from cluttergen_jax.assets.cloud import cloud_colours, top_points
+from cluttergen_jax.assets.finish import Finish
 from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shading import linear, shade
-from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.shape import Piece, Texture
 from cluttergen_jax.assets.support import PART_RGBA, Rectangle, SupportAsset
 from cluttergen_jax.geometry import transform_points, yaw_quaternion
 from cluttergen_jax.placement.replay import Attempt, Replay
@@ -322,8 +324,8 @@ def _pose_at(attempt: Attempt, progress: float) -> np.ndarray:
 
 def _surface(server: viser.ViserServer, name: str, piece: Piece) -> Any:
     """A mesh that is smooth where it bends gently and sharp at its edges."""
-    if piece.texture is not None:
-        return server.scene.add_mesh_trimesh(name, textured_mesh(piece))
+    if piece.texture is not None or piece.finish is not None:
+        return server.scene.add_mesh_trimesh(name, dressed_mesh(piece))
     rgba = piece.rgba
     vertices, _, faces, _ = shade(piece.mesh)
     return server.scene.add_mesh_simple(
@@ -336,20 +338,26 @@ def _surface(server: viser.ViserServer, name: str, piece: Piece) -> Any:
     )
 
 
-def textured_mesh(piece: Piece) -> trimesh.Trimesh:
-    """A piece that has an image as trimesh keeps one, seen from both sides."""
-    assert piece.texture is not None
+def dressed_mesh(piece: Piece) -> trimesh.Trimesh:
+    """A piece with its images and its finish as trimesh keeps one, seen from both sides."""
+    finish = piece.finish or Finish()
     vertices, normals, faces, uv = shade(piece.mesh, piece.uv)
     material = trimesh.visual.material.PBRMaterial(
-        baseColorTexture=piece.texture.image,
+        baseColorTexture=_image(piece.texture),
         baseColorFactor=np.round(255 * np.array(linear(piece.rgba))).astype(np.uint8),
-        metallicFactor=0.0,
-        roughnessFactor=0.65,
+        metallicFactor=finish.metallic,
+        roughnessFactor=finish.roughness,
+        normalTexture=_image(finish.normal),
+        metallicRoughnessTexture=_image(finish.orm),
         doubleSided=True,
         alphaMode="OPAQUE" if piece.rgba[3] >= 1 else "BLEND",
     )
     visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
     return trimesh.Trimesh(vertices, faces, vertex_normals=normals, visual=visual, process=False)
+
+
+def _image(texture: Texture | None) -> Image.Image | None:
+    return None if texture is None else texture.image
 
 
 def _hull(server: viser.ViserServer, name: str, part: Mesh, colour: tuple[int, int, int]) -> Any:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from cluttergen_jax.assets.finish import Finish
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shading import linear, shade
 from cluttergen_jax.assets.shape import Piece, Texture
@@ -26,6 +27,8 @@ _ELEMENT = 34963
 _FLOAT = 5126
 _UNSIGNED = 5125
 _Y_UP = [-math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]
+_TRANSMISSION = "KHR_materials_transmission"
+"""Read beside the alpha of the colour, by which viewers without this extension show glass."""
 _PART_RGBA = (0.6, 0.6, 0.65, 1.0)
 
 
@@ -49,6 +52,7 @@ class _Builder:
         }
         self._materials: dict[tuple[Any, ...], int] = {}
         self._images: dict[Texture, int] = {}
+        self._used: set[str] = set()
 
     def of(self, scene: Scene) -> bytes:
         solids = scene.support.collision_pieces
@@ -152,16 +156,26 @@ class _Builder:
 
     def _material(self, piece: Piece) -> int:
         rgba = piece.rgba
-        key = (rgba, piece.texture)
+        key = (rgba, piece.texture, piece.finish)
         if key not in self._materials:
+            finish = piece.finish or Finish()
             colour: dict[str, object] = {
                 "baseColorFactor": linear(rgba),
-                "metallicFactor": 0.0,
-                "roughnessFactor": 0.65,
+                "metallicFactor": finish.metallic,
+                "roughnessFactor": finish.roughness,
             }
             if piece.texture is not None:
                 colour["baseColorTexture"] = {"index": self._image(piece.texture)}
+            if finish.orm is not None:
+                colour["metallicRoughnessTexture"] = {"index": self._image(finish.orm)}
             material: dict[str, object] = {"pbrMetallicRoughness": colour, "doubleSided": True}
+            if finish.normal is not None:
+                material["normalTexture"] = {"index": self._image(finish.normal)}
+            if finish.transmission:
+                material["extensions"] = {
+                    _TRANSMISSION: {"transmissionFactor": finish.transmission}
+                }
+                self._used.add(_TRANSMISSION)
             if rgba[3] < 1:
                 material["alphaMode"] = "BLEND"
             self._materials[key] = self._add("materials", material)
@@ -191,6 +205,7 @@ class _Builder:
                 {"name": name, "nodes": [root]} for name, root in zip(names, roots, strict=True)
             ],
             "buffers": [{"byteLength": len(self._blob)}],
+            **({"extensionsUsed": sorted(self._used)} if self._used else {}),
             **self._doc,
         }
         text = json.dumps(document, separators=(",", ":")).encode()

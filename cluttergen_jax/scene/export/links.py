@@ -280,9 +280,23 @@ def _add_visual(link: ET.Element, surface: VisualShape, folder: str) -> None:
     _add_mesh(visual, folder + surface.file)
     if surface.image is None:
         _add_colour(visual, surface.piece.rgba)
+        _add_finish(visual, surface, folder)
     else:
         # The OBJ's own material names the image; one given here would stand in its place.
         _add_transparency(visual, surface.piece.rgba)
+
+
+def _add_finish(visual: ET.Element, surface: VisualShape, folder: str) -> None:
+    """What SDF says of physically based rendering; it has no map of roughness and metalness in one."""
+    material = visual.find("material")
+    finish = surface.piece.finish
+    if material is None or finish is None:
+        return
+    metal = ET.SubElement(ET.SubElement(material, "pbr"), "metal")
+    _leaf(metal, "roughness", text([finish.without_maps.roughness]))
+    _leaf(metal, "metalness", text([finish.without_maps.metallic]))
+    if surface.normal is not None:
+        _leaf(metal, "normal_map", folder + surface.normal)
 
 
 def _add_colour(visual: ET.Element, rgba: tuple[float, ...]) -> None:

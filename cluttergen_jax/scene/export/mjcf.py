@@ -14,7 +14,7 @@ from __future__ import annotations
 import itertools
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -25,10 +25,13 @@ from cluttergen_jax.assets.mjcf import (
     SHININESS,
     SPECULAR,
     VISUAL_GROUP,
+    finish_name,
+    finish_numbers,
+    layers_of,
     own_contact,
 )
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.shape import Piece, Texture
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.geometry import yaw_quaternion
@@ -86,13 +89,14 @@ def scene_xml(
       cameras: around the support.
       names_detector: where the scene was checked with both of MuJoCo's detectors, the file chooses libccd by
         a flag that MuJoCo before 3.2.3 does not open; False leaves it out: libccd was the default there.
+        So it does roughness, metalness and maps.
       has_joints: the support's joints can move; friction holds them where they stand. Their positions are
         before those of the objects in the keyframe.
     """
     root = ET.Element("mujoco", model="cluttergen scene")
     compiler = ET.SubElement(root, "compiler", angle="radian", meshdir=_ASSETS)
     if any(
-        piece.texture
+        piece.images
         for pieces in (support.pieces, *(o.pieces for o in objects))
         for piece in pieces
     ):
@@ -103,14 +107,14 @@ def scene_xml(
     world = ET.SubElement(root, "worldbody")
     _add_surroundings(assets, world)
     bodies = _SupportBodies(root, world, support, has_joints)
-    _add_support(assets, bodies, support)
+    _add_support(assets, bodies, support, is_new=names_detector)
     stored: set[str] = set()
     names = names or unique_names([asset.name for asset in objects])
     for name, asset, pose in zip(names, objects, poses, strict=True):
         if asset.name not in stored:
             stored.add(asset.name)
             _add_meshes(assets, asset, f"objects/{asset.name}/")
-        _add_body(assets, world, name, asset, pose, contact)
+        _add_body(assets, world, name, asset, pose, contact, is_new=names_detector)
     for each in cameras:
         pose = {"pos": _text(each.position), "quat": _text(each.quaternion)}
         ET.SubElement(world, "camera", pose, name=each.name, fovy=_text([each.fovy]))
@@ -303,7 +307,9 @@ class _SupportBodies:
         return body
 
 
-def _add_support(assets: ET._Element, bodies: _SupportBodies, support: SupportAsset) -> None:
+def _add_support(
+    assets: ET._Element, bodies: _SupportBodies, support: SupportAsset, is_new: bool
+) -> None:
     group = str(VISUAL_GROUP if shows_solids(support) else COLLISION_GROUP)
     for number, solid in enumerate(solids_of(support)):
         name = f"support.{solid.name}"
@@ -318,7 +324,8 @@ def _add_support(assets: ET._Element, bodies: _SupportBodies, support: SupportAs
         mesh = f"support.{surface.name}"
         file = f"support/{surface.file}"
         ET.SubElement(assets, "mesh", _weightless(surface.piece), name=mesh, file=file)
-        _add_visual_geom(assets, bodies.of("pieces", index), mesh, surface.piece, "support/")
+        body = bodies.of("pieces", index)
+        _add_visual_geom(assets, body, mesh, surface.piece, "support/", is_new)
 
 
 def _shape(solid: CollisionShape, mesh: str) -> dict[str, str]:
@@ -358,6 +365,7 @@ def _add_body(
     pose: np.ndarray,
     contact: ContactConfig,
     images: str = "textures/",
+    is_new: bool = True,
 ) -> None:
     body = ET.SubElement(world, "body", name=name, pos=_text(pose[:3]), quat=_text(pose[3:]))
     ET.SubElement(body, "freejoint", name=name)
@@ -367,22 +375,65 @@ def _add_body(
         shape = own | _shape(solid, f"{asset.name}.{solid.name}")
         ET.SubElement(body, "geom", shape, group=str(COLLISION_GROUP))
     for index, piece in enumerate(asset.pieces):
-        _add_visual_geom(assets, body, f"{asset.name}.visual-{index}", piece, images)
+        _add_visual_geom(assets, body, f"{asset.name}.visual-{index}", piece, images, is_new)
 
 
 def _add_visual_geom(
-    assets: ET._Element, body: ET._Element, mesh: str, piece: Piece, images: str
+    assets: ET._Element, body: ET._Element, mesh: str, piece: Piece, images: str, is_new: bool
 ) -> None:
+    """Adds a drawn geom, and its material where there is none yet.
+
+    Args:
+      images: what leads to the images.
+      is_new: whether the reader knows roughness, metalness and layers.
+    """
     geom = ET.SubElement(body, "geom", _UNSEEN, type="mesh", mesh=mesh, rgba=_text(piece.rgba))
-    if piece.texture is None:
+    if piece.finish is not None:
+        name = finish_name(piece)
+    elif piece.texture is not None:
+        name = _image_name(piece.texture)
+    else:
         return
-    name = piece.texture.file_name.removesuffix(".png")
     geom.set("material", name)
-    if assets.find(f"material[@name='{name}']") is None:
-        file = images + piece.texture.file_name
-        ET.SubElement(assets, "texture", name=name, type="2d", file=file)
-        shine = {"specular": str(SPECULAR), "shininess": str(SHININESS)}
-        ET.SubElement(assets, "material", shine, name=name, texture=name)
+    if assets.find(f"material[@name='{name}']") is not None:
+        return
+    layers = layers_of(piece)
+    if not is_new:
+        layers = {role: image for role, image in layers.items() if role == "rgb"}
+    for image in layers.values():
+        own = _image_name(image)
+        if assets.find(f"texture[@name='{own}']") is None:
+            ET.SubElement(assets, "texture", name=own, type="2d", file=images + image.file_name)
+    _add_material(
+        assets, name, piece, {role: _image_name(each) for role, each in layers.items()}, is_new
+    )
+
+
+def _image_name(image: Texture) -> str:
+    return image.file_name.removesuffix(".png")
+
+
+def _add_material(
+    assets: ET._Element, name: str, piece: Piece, layers: Mapping[str, str], is_new: bool = True
+) -> None:
+    """Adds a piece's material; see `add_material` of assets.mjcf.
+
+    Args:
+      layers: names of textures by role. One of colours alone is an attribute, which all versions know;
+        layers are read from MuJoCo 3.2.7 on.
+      is_new: whether roughness and metalness are said.
+    """
+    own = {"specular": str(SPECULAR), "shininess": str(SHININESS)}
+    if piece.finish is not None:
+        numbers = finish_numbers(piece.finish)
+        own = {key: _text([numbers[key]]) for key in numbers if is_new or key in own}
+        own["rgba"] = _text(piece.rgba)
+    material = ET.SubElement(assets, "material", own, name=name)
+    if layers.keys() == {"rgb"}:
+        material.set("texture", layers["rgb"])
+        return
+    for role, texture in layers.items():
+        ET.SubElement(material, "layer", role=role, texture=texture)
 
 
 def robosuite_xml(
@@ -440,9 +491,11 @@ def _add_surface(assets: ET._Element, body: ET._Element, surface: VisualShape) -
     name = surface.name
     ET.SubElement(assets, "mesh", _weightless(surface.piece), name=name, file=surface.file)
     geom = ET.SubElement(body, "geom", _drawing_of(surface.piece.rgba), type="mesh", mesh=name)
+    layers = {}
     if surface.image is not None:
-        texture = name.replace("visual", "image")
-        shine = {"specular": str(SPECULAR), "shininess": str(SHININESS)}
-        ET.SubElement(assets, "texture", name=texture, type="2d", file=surface.image)
-        ET.SubElement(assets, "material", shine, name=name, texture=texture)
+        layers["rgb"] = name.replace("visual", "image")
+        ET.SubElement(assets, "texture", name=layers["rgb"], type="2d", file=surface.image)
+    if layers or surface.piece.finish is not None:
+        # robosuite renames what a model has, but no textures of layers: maps are left out.
+        _add_material(assets, name, surface.piece.without_maps, layers)
         geom.set("material", name)

@@ -17,6 +17,7 @@ from cluttergen_jax.geometry import transform_points, yaw_quaternion
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.export.shapes import (
     SUPPORT_FOLDER,
+    VisualShape,
     friction_of,
     mean_of,
     object_folder,
@@ -154,10 +155,24 @@ def _shapes(body: ObjectAsset | SupportAsset) -> dict[str, Any]:
         "parts": [solid.file for solid in solids_of(body) if solid.file],
         **({"part_rgba": list(PART_RGBA)} if isinstance(body, SupportAsset) else {}),
         "visuals": [
-            {"file": each.file, "rgba": list(each.piece.rgba), "image": each.image}
+            {"file": each.file, "rgba": list(each.piece.rgba), "image": each.image, **_finish(each)}
             for each in surfaces_of(body)
         ],
     }
+
+
+def _finish(surface: VisualShape) -> dict[str, Any]:
+    """What is said of a surface's finish, of a map of roughness its mean; nothing where it has none."""
+    if (finish := surface.piece.finish) is None:
+        return {}
+    mean = finish.without_maps
+    record = {
+        "roughness": mean.roughness,
+        "metallic": mean.metallic,
+        "transmission": mean.transmission,
+        "normal": surface.normal,
+    }
+    return {"finish": record}
 
 
 def _support(support: SupportAsset) -> dict[str, Any]:

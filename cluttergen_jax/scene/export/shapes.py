@@ -23,7 +23,7 @@ from cluttergen_jax.assets.mjcf import own_contact
 from cluttergen_jax.assets.obj import mesh_text, part_name, shaded_text
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import SHARED_IMAGES, write_images
-from cluttergen_jax.assets.shape import Piece
+from cluttergen_jax.assets.shape import Piece, Texture
 from cluttergen_jax.assets.support import PART_RGBA, Box, SupportAsset
 from cluttergen_jax.config import ContactConfig
 
@@ -76,11 +76,13 @@ class VisualShape(NamedTuple):
     Attributes:
       name: in formats; its file is called so too.
       image: where its image lies, relative to the folder; None if it has none.
+      normal: likewise its map of normals.
     """
 
     name: str
     piece: Piece
     image: str | None
+    normal: str | None = None
 
     @property
     def file(self) -> str:
@@ -117,10 +119,15 @@ def surfaces_of(body: ObjectAsset | SupportAsset) -> list[VisualShape]:
         VisualShape(
             f"visual-{index}",
             piece,
-            None if piece.texture is None else folder + piece.texture.file_name,
+            _image_file(folder, piece.texture),
+            _image_file(folder, piece.finish.normal if piece.finish else None),
         )
         for index, piece in enumerate(pieces)
     ]
+
+
+def _image_file(folder: str, image: Texture | None) -> str | None:
+    return None if image is None else folder + image.file_name
 
 
 def solids_of(body: ObjectAsset | SupportAsset) -> list[CollisionShape]:
@@ -146,14 +153,14 @@ def write_meshes(folder: Path, body: ObjectAsset | SupportAsset) -> None:
     for surface in surfaces_of(body):
         _write_surface(folder, surface)
     images = folder.parents[1] / "textures" if isinstance(body, ObjectAsset) else folder
-    write_images(images, [each.texture for each in body.pieces if each.texture is not None])
+    write_images(images, [image for each in body.pieces for image in each.images])
 
 
 def _write_surface(folder: Path, surface: VisualShape) -> None:
     # Normals because Drake draws no OBJ without them.
     path = folder / surface.file
     piece = surface.piece
-    if surface.image is None:
+    if surface.image is None and piece.finish is None:
         path.write_text(shaded_text(piece), encoding="ascii")
         return
     library = path.with_suffix(".mtl")
@@ -164,11 +171,29 @@ def _write_surface(folder: Path, surface: VisualShape) -> None:
         f"newmtl {name}",
         f"Ka {colour}",
         f"Kd {colour}",
-        "Ks 0 0 0",
+        *_finish_lines(surface),
         f"d {piece.rgba[3]:.6g}",
-        f"map_Kd {surface.image}\n",
+        *([] if surface.image is None else [f"map_Kd {surface.image}"]),
     ]
-    library.write_text("\n".join(lines), encoding="ascii")
+    library.write_text("\n".join(lines) + "\n", encoding="ascii")
+
+
+def _finish_lines(surface: VisualShape) -> list[str]:
+    """What MTL says of gloss: for every reader in `Ks` and `Ns`, for newer ones in `Pr`, `Pm` and `norm`.
+
+    It has no map of roughness and metalness in one: their means are written.
+    """
+    finish = surface.piece.finish
+    if finish is None:
+        return ["Ks 0 0 0"]
+    mean = finish.without_maps
+    return [
+        f"Ks {' '.join(3 * [f'{finish.specular:.6g}'])}",
+        f"Ns {finish.exponent:.6g}",
+        f"Pr {mean.roughness:.6g}",
+        f"Pm {mean.metallic:.6g}",
+        *([] if surface.normal is None else [f"norm {surface.normal}"]),
+    ]
 
 
 @dataclass(frozen=True, eq=False)

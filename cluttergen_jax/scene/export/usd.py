@@ -23,7 +23,9 @@ import numpy as np
 import yaml
 from PIL import Image
 
+from cluttergen_jax.assets.finish import Finish
 from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.mjcf import finish_name
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import write_images
 from cluttergen_jax.assets.shading import linear, shade
@@ -164,12 +166,12 @@ def write_support_usd(folder: Path, support: SupportAsset, contact: ContactConfi
         cube.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*box.half_extents))
         cube.CreateDisplayColorAttr([Gf.Vec3f(*linear(box.rgba)[:3])])
         if is_drawn:
-            _bind(cube.GetPrim(), _colour(stage, box.rgba))
+            _bind(cube.GetPrim(), _material(stage, Piece(box.mesh, box.rgba)))
         _make_collider(cube.GetPrim(), material, contact)
     for index, part in enumerate(support.parts):
         prim = _add_part(stage, f"{parent}/part_{index:02d}", part, material, contact)
         if is_drawn:
-            _bind(prim, _colour(stage, PART_RGBA))
+            _bind(prim, _material(stage, Piece(part, PART_RGBA)))
     stage.GetRootLayer().Save()
 
 
@@ -266,13 +268,12 @@ def _add_label(prim: Any, taxonomy: str, label: str) -> None:
 
 def _add_visuals(stage: Any, folder: Path, pieces: Sequence[Piece], place: str = "") -> None:
     """Adds surfaces, and writes their images to a place within the folder."""
-    write_images(folder / place, [each.texture for each in pieces if each.texture is not None])
+    write_images(folder / place, [image for each in pieces for image in each.images])
     for index, piece in enumerate(pieces):
-        image = None if piece.texture is None else place + piece.texture.file_name
         mesh = _add_mesh(stage, f"{_root(stage)}/visuals/piece_{index:02d}", piece.mesh, piece.uv)
         mesh.CreateDisplayColorAttr([Gf.Vec3f(*linear(piece.mean_rgba)[:3])])
         mesh.CreateDisplayOpacityAttr([piece.rgba[3]])
-        _bind(mesh.GetPrim(), _colour(stage, piece.rgba, image))
+        _bind(mesh.GetPrim(), _material(stage, piece, place))
 
 
 def _add_mesh(stage: Any, path: str, mesh: Mesh, uv: np.ndarray | None = None) -> Any:
@@ -302,11 +303,18 @@ def _add_part(stage: Any, path: str, part: Mesh, material: Any, contact: Contact
     return prim
 
 
-def _colour(stage: Any, rgba: tuple[float, ...], image: str | None = None) -> Any:
-    """A matte material of this colour, times the image if there is one; made once."""
-    name = "colour_" + "_".join(f"{round(255 * value):03d}" for value in rgba)
-    if image is not None:
-        name += "_" + Tf.MakeValidIdentifier(PurePosixPath(image).stem)
+def _material(stage: Any, piece: Piece, place: str = "") -> Any:
+    """The material of a piece: its colour, times its image if there is one, and its finish; made once.
+
+    Args:
+      place: where the images are.
+    """
+    finish = piece.finish or Finish()
+    name = "colour_" + "_".join(f"{round(255 * value):03d}" for value in piece.rgba)
+    if piece.finish is not None:
+        name += "_" + Tf.MakeValidIdentifier(finish_name(piece))
+    elif piece.texture is not None:
+        name += "_" + Tf.MakeValidIdentifier(PurePosixPath(piece.texture.file_name).stem)
     path = f"{_root(stage)}/materials/{name}"
     if existing := UsdShade.Material.Get(stage, path):
         return existing
@@ -315,31 +323,53 @@ def _colour(stage: Any, rgba: tuple[float, ...], image: str | None = None) -> An
     _add_label(material.GetPrim(), "material", _MATERIAL)
     shader = UsdShade.Shader.Define(stage, f"{path}/surface")
     shader.CreateIdAttr("UsdPreviewSurface")
-    red, green, blue, alpha = linear(rgba)
+    red, green, blue, alpha = linear(piece.rgba)
     diffuse = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
-    if image is None:
+    if piece.texture is None:
         diffuse.Set(Gf.Vec3f(red, green, blue))
     else:
-        diffuse.ConnectToSource(
-            _image(stage, path, image, (red, green, blue)).ConnectableAPI(), "rgb"
-        )
+        file = place + piece.texture.file_name
+        image = _image(stage, f"{path}/image", file, (red, green, blue), is_colour=True)
+        diffuse.ConnectToSource(image.ConnectableAPI(), "rgb")
     shader.CreateInput("opacity", Sdf.ValueTypeNames.Float).Set(alpha)
-    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.65)
-    shader.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
+    roughness = shader.CreateInput("roughness", Sdf.ValueTypeNames.Float)
+    metallic = shader.CreateInput("metallic", Sdf.ValueTypeNames.Float)
+    if finish.orm is None:
+        roughness.Set(finish.roughness)
+        metallic.Set(finish.metallic)
+    else:
+        factors = (1.0, finish.roughness, finish.metallic)
+        image = _image(stage, f"{path}/orm", place + finish.orm.file_name, factors)
+        for share, channel in ((roughness, "g"), (metallic, "b")):
+            image.CreateOutput(channel, Sdf.ValueTypeNames.Float)
+            share.ConnectToSource(image.ConnectableAPI(), channel)
+    if finish.normal is not None:
+        image = _image(stage, f"{path}/normal", place + finish.normal.file_name, (2.0, 2.0, 2.0))
+        image.CreateInput("bias", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(-1, -1, -1, 0))
+        bumps = shader.CreateInput("normal", Sdf.ValueTypeNames.Normal3f)
+        bumps.ConnectToSource(image.ConnectableAPI(), "rgb")
     material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
     return material
 
 
-def _image(stage: Any, path: str, image: str, factor: tuple[float, float, float]) -> Any:
-    """The shader that reads an image, multiplied by a linear colour."""
-    reader = UsdShade.Shader.Define(stage, f"{path}/uv")
+def _image(
+    stage: Any, path: str, image: str, factor: tuple[float, float, float], is_colour: bool = False
+) -> Any:
+    """The shader at `path` that reads an image, multiplied by three numbers; the reader of uv is beside it.
+
+    Args:
+      is_colour: whether it is a picture in sRGB, else its values are taken as they are.
+    """
+    reader = UsdShade.Shader.Define(stage, f"{path.rpartition('/')[0]}/uv")
     reader.CreateIdAttr("UsdPrimvarReader_float2")
     reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set(_UV)
     reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
-    texture = UsdShade.Shader.Define(stage, f"{path}/image")
+    texture = UsdShade.Shader.Define(stage, path)
     texture.CreateIdAttr("UsdUVTexture")
     texture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath(image))
-    texture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
+    texture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set(
+        "sRGB" if is_colour else "raw"
+    )
     for side in ("wrapS", "wrapT"):
         texture.CreateInput(side, Sdf.ValueTypeNames.Token).Set("repeat")
     texture.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(*factor, 1.0))

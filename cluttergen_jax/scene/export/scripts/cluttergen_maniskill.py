@@ -123,14 +123,22 @@ class ClutterGenSceneEnv(BaseEnv):
         for visual in thing["visuals"]:
             path = str(ROOT / thing["folder"] / visual["file"])
             image = visual["image"] and str(ROOT / thing["folder"] / visual["image"])
-            builder.add_visual_from_file(path, material=self._paint(visual["rgba"], image))
+            finish = visual.get("finish", {})
+            normal = finish.get("normal") and str(ROOT / thing["folder"] / finish["normal"])
+            material = self._paint(visual["rgba"], image, finish, normal)
+            builder.add_visual_from_file(path, material=material)
 
-    def _paint(self, rgba, image=None):
+    def _paint(self, rgba, image=None, finish=None, normal=None):
         # A material wants a renderer; without one the scene is simulated all the same.
         try:
             material = sapien.render.RenderMaterial(base_color=rgba, roughness=0.65)
             if image:
                 material.base_color_texture = sapien.render.RenderTexture2D(image)
+            if normal:
+                material.normal_texture = sapien.render.RenderTexture2D(normal, srgb=False)
+            for name in ("roughness", "metallic", "transmission"):
+                if finish and name in finish:
+                    setattr(material, name, finish[name])
             return material
         except RuntimeError:
             return None
