@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +29,7 @@ def export(
     scenes: Sequence[int] | str | None = None,
     cameras: Sequence[CameraName] = (),
     grasps: str | Path | None = None,
+    look: str | Path = "plain",
     overwrite: bool = False,
 ) -> Path:
     """Writes scenes as a self-contained folder for another program (`cluttergen export`).
@@ -44,6 +47,8 @@ def export(
       scenes: numbers such as 0,3,7 or 0-9; all successful ones if not given. In Python also a list.
       cameras: cameras around the support, to be added to every scene: "overhead", "front", "side", "wrist".
       grasps: grasps to write beside objects, with "molmospaces": a file of `cluttergen robot grasps --out`.
+      look: draws a support that has no surfaces of its own as a table in wood, marble and so on: a name, or
+        a YAML file (docs/guide/pictures.md). What collides stays.
       overwrite: replace an earlier export.
 
     Returns:
@@ -82,7 +87,7 @@ def export(
             given = f"scenes with the format {format!r}, which takes a whole bank"
             raise ConfigError(given, "a bank", "`cluttergen_jax.generate`")
         return export_scenes(
-            _scenes_of(source),
+            _furnished(_scenes_of(source), look),
             out,
             kind,
             overwrite=overwrite,
@@ -101,6 +106,7 @@ def export(
     bank = read_bank(path)
     if kind is None:
         options = {"scenes": numbers, "cameras": tuple(cameras), "grasps": grasps}
+        options["look"] = "" if str(look) == "plain" else look
         if given := ", ".join(f"`{name}`" for name, value in options.items() if value):
             text = f"{given} with the format {format!r}, which takes the whole bank"
             raise ConfigError(text, "a bank of just these scenes", "`cluttergen generate`")
@@ -112,10 +118,22 @@ def export(
         return export_bank(bank.path, bank.support, objects, indices, out, str(format), overwrite)
     total = len(good_indices(bank) if numbers is None else select_rows(bank, numbers))
     read = read_scenes(bank, numbers)
+    read = _furnished(read, look)
     shown = read if total <= _MANY else track(read, "exporting", total, "scene")
     return export_scenes(
         shown, out, kind, overwrite=overwrite, cameras=tuple(cameras), grasps=grasps
     )
+
+
+def _furnished(scenes: Iterable[Scene], look: str | Path) -> Iterator[Scene]:
+    """The scenes with their support as a look draws it; ConfigError: there is no such look."""
+    from cluttergen_jax.rendering.furnish import furnish
+    from cluttergen_jax.rendering.look import find_look
+
+    drawn = find_look(look)
+    # Scenes of one file share their support.
+    furnished = lru_cache(None)(lambda support: furnish(support, drawn))
+    return (replace(scene, support=furnished(scene.support)) for scene in scenes)
 
 
 def _scenes_of(source: Any) -> list[Scene]:

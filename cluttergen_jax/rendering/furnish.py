@@ -12,6 +12,7 @@ from functools import lru_cache
 import numpy as np
 from PIL import Image
 
+from cluttergen_jax.assets.finish import Finish
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.shape import Piece, Texture
 from cluttergen_jax.assets.support import Box, SupportAsset
@@ -177,4 +178,10 @@ def _covered(mesh: Mesh, covering: Covering, along: int = 0) -> Piece:
         mine = side == axis
         uv[mine] = corners[mine][:, others] / covering.tile
     faces = np.arange(len(corners)).reshape(-1, 3)
-    return Piece(Mesh(corners, faces), _WHITE, uv.astype(np.float32), covering_texture(covering))
+    return Piece(
+        Mesh(corners, faces),
+        _WHITE,
+        uv.astype(np.float32),
+        covering_texture(covering),
+        finish=Finish(covering.roughness, covering.metallic),
+    )

@@ -49,6 +49,13 @@ _ROUGHNESS = 0.45
 """Of surfaces whose file says nothing: painted things, wood, cardboard."""
 _EXPOSED = 0.8
 """Brightness up to which a picture follows the light; what is brighter fades into white."""
+_FROSTED = 0.2
+"""Roughness from which glass blurs what is behind it."""
+_ROLES = {
+    "rgb": mujoco.mjtTextureRole.mjTEXROLE_RGB,
+    "normal": mujoco.mjtTextureRole.mjTEXROLE_NORMAL,
+    "orm": mujoco.mjtTextureRole.mjTEXROLE_ORM,
+}
 _FULL_FRAME = 0.036
 """Metres: the width of a film that f-numbers are meant for."""
 _PRIMITIVES = {
@@ -183,43 +190,60 @@ class PhotoRenderer:
         model = self.model
         number = model.geom_matid[geom]
         rgba = model.geom_rgba[geom].astype(float)
-        roles = np.full(mujoco.mjtTextureRole.mjNTEXROLE, -1)
         roughness = metallic = -1.0
+        images = dict.fromkeys(_ROLES, -1)
+        repeats = (1.0, 1.0)
         if number >= 0:
             if np.allclose(rgba, (0.5, 0.5, 0.5, 1.0), atol=1e-6):
                 rgba = model.mat_rgba[number].astype(float)
-            roles = model.mat_texid[number]
+            images = {name: int(model.mat_texid[number, role]) for name, role in _ROLES.items()}
             roughness = float(model.mat_roughness[number])
             metallic = float(model.mat_metallic[number])
-        roughness = _ROUGHNESS if roughness < 0 else roughness
-        image = roles[mujoco.mjtTextureRole.mjTEXROLE_RGB]
-        if rgba[3] < _OPAQUE and image < 0:
-            surface = _glass(rgba)
+            repeats = _repeats(model, number, size)
+        is_clear = rgba[3] < _OPAQUE
+        if is_clear and images["rgb"] < 0:
+            surface = _glass(rgba, roughness)
         else:
             surface = {
                 "type": "principled",
-                "base_color": self._image(image, rgba[:3], _repeats(model, number, size))
-                if image >= 0
-                else _colour(rgba[:3]),
-                "roughness": max(roughness, _SMOOTHEST),
+                "base_color": _colour(rgba[:3]),
+                "roughness": max(_ROUGHNESS if roughness < 0 else roughness, _SMOOTHEST),
                 "metallic": max(metallic, 0.0),
                 "specular": 0.5,
             }
+            if images["rgb"] >= 0:
+                surface["base_color"] = self._image(images["rgb"], repeats, rgba[:3])
+            if images["orm"] >= 0:
+                for channel, name in ((1, "roughness"), (2, "metallic")):
+                    factor = surface[name] * np.eye(3)[channel]
+                    surface[name] = self._image(images["orm"], repeats, factor, is_raw=True)
+            if images["normal"] >= 0:
+                normal = self._image(images["normal"], repeats, np.ones(3), is_raw=True)
+                surface = {"type": "normalmap", "normalmap": normal, "nested": surface}
             surface = {"type": "twosided", "nested": surface}
+            opacity *= rgba[3] if is_clear else 1.0
         if opacity < _OPAQUE:
             surface = {"type": "mask", "opacity": opacity, "nested": surface}
         return surface
 
-    def _image(self, number: int, tint: np.ndarray, repeats: tuple[float, float]) -> Any:
-        """Mitsuba's texture of one of the model's, times a colour, so many times along u and v."""
+    def _image(
+        self, number: int, repeats: tuple[float, float], factor: np.ndarray, is_raw: bool = False
+    ) -> Any:
+        """Mitsuba's texture of one of the model's, so many times along u and v, times f[3].
+
+        Args:
+          is_raw: its values are no colours; of a factor with one channel above 0 that channel alone.
+        """
         import mitsuba as mi
 
-        key = (int(number), *np.round(tint, 4).tolist(), *repeats)
+        key = (number, *repeats, *np.round(factor, 4).tolist(), is_raw)
         if key not in self._images:
-            pixels = texture_pixels(self.model, number) * tint
+            pixels = texture_pixels(self.model, number) * factor
+            if is_raw and np.count_nonzero(factor) == 1:
+                pixels = pixels[..., factor > 0]
             bitmap = mi.Bitmap(np.round(pixels).astype(np.uint8))
             scale = mi.ScalarTransform4f().scale([*repeats, 1])
-            texture = {"type": "bitmap", "bitmap": bitmap, "to_uv": scale}
+            texture = {"type": "bitmap", "bitmap": bitmap, "raw": is_raw, "to_uv": scale}
             self._images[key] = mi.load_dict(texture)
         return self._images[key]
 
@@ -338,7 +362,7 @@ _WITHOUT_LLVM = "note: path tracing is 2 to 3 times faster with LLVM, which is m
 
 @cache
 def find_variant() -> str:
-    """Mitsuba's variant: the fast one, which needs LLVM, if it draws a picture here; else the plain one.
+    """Mitsuba's variant: the fast one, which needs LLVM, if it draws here; else the plain one.
 
     It is tried in a process of its own, as it ends the process on processors that LLVM does not fit.
     """
@@ -433,14 +457,13 @@ def _colour(rgb: Sequence[float] | np.ndarray) -> dict[str, Any]:
     return {"type": "rgb", "value": list(linear([*np.clip(rgb, 0, 1), 1.0])[:3])}
 
 
-def _glass(rgba: np.ndarray) -> dict[str, Any]:
-    """Clear glass, tinted the more the more opaque it is drawn elsewhere."""
+def _glass(rgba: np.ndarray, roughness: float) -> dict[str, Any]:
+    """Clear or frosted glass, tinted the more the more opaque it is drawn elsewhere."""
     tint = 1 - (1 - np.clip(rgba[:3], 0, 1)) * rgba[3] * 0.5
-    return {
-        "type": "dielectric",
-        "int_ior": 1.45,
-        "specular_transmittance": _colour(tint),
-    }
+    glass = {"type": "dielectric", "int_ior": 1.45, "specular_transmittance": _colour(tint)}
+    if roughness > _FROSTED:
+        glass |= {"type": "roughdielectric", "alpha": roughness**2}
+    return glass
 
 
 def _sensor(camera: Camera, rows: int, photo: PhotoConfig, center: np.ndarray) -> dict[str, Any]:
