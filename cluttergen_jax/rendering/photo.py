@@ -472,10 +472,22 @@ def _sensor(camera: Camera, rows: int, photo: PhotoConfig, center: np.ndarray) -
 
     # Mitsuba's camera looks along +z with +x to the left and +y up.
     place = camera.T_world_camera @ np.diag([-1.0, -1.0, 1.0, 1.0])
-    stretch = rows / camera.height
-    lens: dict[str, Any] = {"type": "perspective"}
+    K = camera.K
+    # Of the picture's sides: how far the optical axis is from its middle.
+    away = np.array([K[0, 2] / camera.width, K[1, 2] / camera.height]) - 0.5
+    lens: dict[str, Any] = {
+        "type": "perspective",
+        "principal_point_offset_x": -float(away[0]),
+        "principal_point_offset_y": -float(away[1]),
+    }
     if photo.f_number is not None:
-        focal = _FULL_FRAME * camera.K[0, 0] / camera.width
+        if np.abs(away * [camera.width, camera.height]).max() > 1:
+            raise ConfigError(
+                "depth_of_field with a camera whose axis is not in the picture's middle",
+                "one whose axis is",
+                "a photo without depth_of_field",
+            )
+        focal = _FULL_FRAME * K[0, 0] / camera.width
         lens = {
             "type": "thinlens",
             "aperture_radius": focal / photo.f_number / 2,
@@ -484,9 +496,7 @@ def _sensor(camera: Camera, rows: int, photo: PhotoConfig, center: np.ndarray) -
     return {
         **lens,
         "fov_axis": "x",
-        "fov": math.degrees(2 * math.atan(camera.width / 2 / camera.K[0, 0])),
-        "principal_point_offset_x": 0.5 - camera.K[0, 2] / camera.width,
-        "principal_point_offset_y": 0.5 - stretch * camera.K[1, 2] / rows,
+        "fov": math.degrees(2 * math.atan(camera.width / 2 / K[0, 0])),
         "near_clip": 0.005,
         "to_world": mi.ScalarTransform4f(place),
         "film": {

@@ -24,7 +24,7 @@ class PileSampler(BlockSampler, eq=False):
     is_whole: ClassVar[bool] = True
 
     def begin(self, key: Array, indices: Array, is_wanted: Array) -> Episode:
-        """See `BlockSampler`; in a pile it is counted what touches from the side."""
+        """See `BlockSampler`; of piles that are stored it is counted what touches from the side."""
         episodes = super().begin(key, indices, is_wanted)
         return episodes.replace(num_beside=jnp.zeros(len(indices), jnp.int32))
 
@@ -78,6 +78,9 @@ class PileSampler(BlockSampler, eq=False):
         again = jnp.maximum(releases - 1, 0).sum()
         verdicts = counts.verdicts.at[Verdict.OUTSIDE].add(again)
         graph = asking.support_graph
+        num_beside = asking.num_beside
+        if num_beside is not None:
+            num_beside = jnp.where(is_filled, piling.num_beside, 0)
         after = asking.replace(
             slot=jnp.where(is_filled, asking.num_slots, asking.slot).astype(jnp.int32),
             poses=jnp.where((is_member & is_filled)[:, None], piling.poses, asking.poses),
@@ -86,7 +89,7 @@ class PileSampler(BlockSampler, eq=False):
             is_success=is_stable,
             verdict=verdict.astype(jnp.int32),
             drift=jnp.where(is_filled, piling.drift, 0.0),
-            num_beside=jnp.where(is_filled, piling.num_beside, 0),
+            num_beside=num_beside,
             support_graph=graph.replace(
                 leans_on=jnp.where(is_filled, piling.touches, graph.leans_on),
                 level=jnp.where(is_filled, piling.level, graph.level),
