@@ -19,7 +19,7 @@ from cluttergen_jax.config import DatasetForm, Variation
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import remove_partial, writing
 from cluttergen_jax.placement.world import base_name
-from cluttergen_jax.progress import Progress
+from cluttergen_jax.progress import Progress, track
 from cluttergen_jax.rendering.config import QUALITIES, Quality
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.rendering.variation import TEXTURES_OF
@@ -462,7 +462,7 @@ def make(
             known.get("rounds", None if there else ()),
             known["recipe"].get("shares_are", "drawn") if known else "exact of all",
         )
-        record = {
+        record: Record = {
             "recipe": plan.recipe() | {"form": form},
             "num_scenes": list(plan.num_scenes),
             "num_views": plan.num_views(),
@@ -505,7 +505,10 @@ def _categories(banks: Sequence[Path], known: Sequence[str]) -> list[str]:
     labels: set[str] = set()
     for path in banks:
         bank = read_bank(path)
-        labels |= {bank.object(name).label for name in bank.object_names}
+        names = bank.object_names
+        labels |= {
+            bank.object(name).label for name in track(names, "categories", len(names), "object")
+        }
     return [*known, *sorted(labels.difference(known))]
 
 

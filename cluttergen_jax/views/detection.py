@@ -14,16 +14,24 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import yaml
 
+from cluttergen_jax.config import DatasetForm
 from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.files import file_whole, inside, remove_partial, write_atomically
-from cluttergen_jax.schema import Record, SchemaError, checked_record, digest_of, with_checksum
+from cluttergen_jax.schema import (
+    Record,
+    SchemaError,
+    checked_record,
+    convert,
+    digest_of,
+    with_checksum,
+)
 from cluttergen_jax.sensing import View
 from cluttergen_jax.views.images import png_of
 from cluttergen_jax.views.maker import SeenScene
@@ -54,7 +62,7 @@ _MEANT = (
 )
 
 
-def check_detection(form: DetectionForm, num_banks: int) -> None:
+def check_detection(form: DatasetForm, num_banks: int) -> None:
     """Refuses what a form cannot hold.
 
     Raises:
@@ -93,13 +101,12 @@ class DetectionFiles:
             data = (self.out / name).read_bytes()
             if digest is not None and digest_of(data) != digest:
                 return False
-            record = checked_record(data)
-            files: Mapping[str, str] = record["files"]
-            return len(record["images"]) == num_views and all(
+            record = convert(checked_record(data), _ShardRecord)
+            return len(record.images) == num_views and all(
                 digest_of(inside(self.out, each).read_bytes()) == known
-                for each, known in files.items()
+                for each, known in record.files.items()
             )
-        except (OSError, SchemaError, KeyError):
+        except (OSError, SchemaError):
             return False
 
     def writer(self, name: str, split: str) -> ShardWriter:
@@ -125,6 +132,15 @@ class DetectionFiles:
 
 
 @dataclass
+class _ShardRecord:
+    """What a split of a shard has: digests of its files by name, and COCO's images and annotations."""
+
+    files: dict[str, str] = field(default_factory=dict)
+    images: list[Record] = field(default_factory=list)
+    annotations: list[Record] = field(default_factory=list)
+
+
+@dataclass
 class _DetectionWriter:
     """Writes images as they come, and the shard's record at the end."""
 
@@ -133,9 +149,7 @@ class _DetectionWriter:
     split: str
     form: DetectionForm
     categories: Sequence[str]
-    files: dict[str, str] = field(default_factory=dict)
-    images: list[Record] = field(default_factory=list)
-    annotations: list[Record] = field(default_factory=list)
+    record: _ShardRecord = field(default_factory=_ShardRecord)
 
     def add(self, view: View, scene: SeenScene, source: ViewSource) -> None:
         stem = f"{source.bank}-{scene.number:06d}-{source.camera}"
@@ -150,20 +164,16 @@ class _DetectionWriter:
             lines = [self._line(each, view) for each in annotations]
             self._write(f"{LABELS}/{self.split}/{stem}.txt", "".join(lines).encode())
         self._write(f"{IMAGES}/{self.split}/{stem}.png", png_of(view.colours))
-        self.images.append(image)
-        self.annotations += annotations
+        self.record.images.append(image)
+        self.record.annotations += annotations
 
     def finish(self) -> None:
-        record = {
-            "files": self.files,
-            "images": self.images,
-            "annotations": self.annotations,
-        }
-        write_atomically(self.out / self.name, json.dumps(with_checksum(record)).encode() + b"\n")
+        data = json.dumps(with_checksum(asdict(self.record))).encode() + b"\n"
+        write_atomically(self.out / self.name, data)
 
     def _write(self, name: str, data: bytes) -> None:
         write_atomically(self.out / name, data)
-        self.files[name] = digest_of(data)
+        self.record.files[name] = digest_of(data)
 
     def _annotation(self, image_id: int, index: int, view: View, scene: SeenScene) -> Record:
         asset = scene.objects[index]

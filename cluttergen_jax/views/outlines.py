@@ -23,7 +23,7 @@ def outline_of(mask: np.ndarray) -> np.ndarray:
     """
     lines = contourpy.contour_generator(z=np.pad(mask, 1).astype(np.float64)).lines(0.5 + _INSET)
     # The middle of the padded picture's second pixel is at (0.5, 0.5); the last point is the first again.
-    rings = [_corners(line[:-1] - 0.5) for line in lines]
+    rings = [_corners(np.asarray(line)[:-1] - 0.5) for line in lines]
     return rings[0] if len(rings) == 1 else _joined(rings)
 
 

@@ -90,7 +90,9 @@ class ShardWriter(Protocol):
 class ShardFiles(Protocol):
     """The files of a dataset in some form."""
 
-    out: Path
+    @property
+    def out(self) -> Path:
+        """The dataset's folder."""
 
     def name_of(self, split: str, bank: int, shard: int) -> str:
         """The file, in the dataset, that makes a split of a shard whole."""
