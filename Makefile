@@ -33,11 +33,11 @@ $(VENV)/.core: pyproject.toml constraints.txt | prerequisites
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.core
-	$(INSTALL) -e '.[dev,ycb,ray,robot,record,video]'
+	$(INSTALL) -e '.[dev,ycb,ray,robot,record,video,coco]'
 	@touch $@
 
 $(VENV)/.all: $(VENV)/.dev
-	$(INSTALL) -e '.[dev,ycb,ray,robot,record,video,peers,usd,viewer,browser,fuzz,hub,docs,remote,perception,photo]'
+	$(INSTALL) -e '.[dev,ycb,ray,robot,record,video,coco,peers,usd,viewer,browser,fuzz,hub,docs,remote,perception,photo]'
 	@touch $@
 
 demo: $(VENV)/.core ## generate, draw, save and verify 20 scenes of ten dining objects in out/demo
@@ -76,7 +76,7 @@ test-wheel: dist ## the quick tests against the built wheel, in an environment o
 	@set -e; away=$$(mktemp -d); trap 'rm -rf "$$away"' EXIT; echo "in $$away, with $$($(PYTHON) --version)"; \
 	tar -xzf dist/*.tar.gz --strip-components=1 -C "$$away"; rm -r "$$away/cluttergen_jax"; find "$$away/scenes" -mindepth 1 -maxdepth 1 ! -name furniture -exec rm -r {} +; \
 	$(PYTHON) -m venv "$$away/.venv"; \
-	"$$away/.venv/bin/pip" install --quiet -c constraints.txt "$$(echo dist/*.whl)[dev,ycb,ray,robot,record,video]"; \
+	"$$away/.venv/bin/pip" install --quiet -c constraints.txt "$$(echo dist/*.whl)[dev,ycb,ray,robot,record,video,coco]"; \
 	cd "$$away" && .venv/bin/pytest -n auto --maxprocesses 4 --dist loadfile -m "not slow" $(TESTS)
 
 format: $(VENV)/.dev ## let ruff mend what it can

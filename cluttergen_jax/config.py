@@ -54,7 +54,7 @@ Engine = Literal["auto", "native", "warp", "jax"]
 ENGINES: tuple[Engine, ...] = get_args(Engine)
 Order = Literal["random", "fixed", "largest", "weighted"]
 Setting = Literal["default", "paper"]
-DatasetForm = Literal["parquet", "webdataset", "bop"]
+DatasetForm = Literal["parquet", "webdataset", "bop", "coco", "yolo", "yolo-seg"]
 Variation = Literal["texture", "light", "colour"]
 """What pictures of a dataset may vary in: the table's texture, light, colours of objects and floor."""
 Balance = Literal["objects", "label", "synset", "licence", "source"]

@@ -238,8 +238,10 @@ def make_dataset(
         with cameras of your own, fixed or drawn from ranges (docs/guide/datasets.md).
       size: of all pictures, WIDTHxHEIGHT in pixels; 640x480, or a file's own, if not given. In Python also a
         pair.
-      form: "parquet"; "webdataset", tar files; or "bop", a folder for each scene.
-      splits: "train", or shares of each bank's scenes such as "train=0.8, val=0.1, test=0.1", to the nearest
+      form: "parquet"; "webdataset", tar files; "bop", a folder for each scene; "coco", instances and images
+        (extra `coco`); "yolo" or "yolo-seg", boxes or outlines and images as Ultralytics reads them. Printed,
+        the dataset tells what its form holds and what it does not.
+      splits: "train", or shares of all scenes such as "train=0.8, val=0.1, test=0.1", to the nearest
         scene. `seed` draws which; scenes of a dataset that grows stay where they are.
       num_scenes: the first so many of each bank; all if not given.
       vary: what is drawn anew for each view: "texture" of the table, from other ones for each split; "light";
@@ -259,7 +261,7 @@ def make_dataset(
       ConfigError: a setting is out of range, or there is no such camera.
       BankError: there is no bank, none of its scenes stands, or the folder holds something else.
       RendererError: colours are wanted, and nothing here can draw.
-      MissingExtraError: a cluster without the extra `ray`.
+      MissingExtraError: a cluster without the extra `ray`, or "coco" without the extra `coco`.
     """
     from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.rendering.gl import find_backend
@@ -290,6 +292,12 @@ def make_dataset(
         find_backend()
     elif vary:
         raise ConfigError(f"vary = {tuple(vary)} without colours", "colours", "colour=True")
+    elif form in ("coco", "yolo", "yolo-seg"):
+        raise ConfigError(
+            f"form = {form!r} without colours",
+            "colours: its images are what a detector sees",
+            "colour=True, or form='parquet'",
+        )
     if form == "bop" and cluster is not None:
         raise ConfigError(
             f"cluster = {cluster!r} with form 'bop'",

@@ -29,6 +29,7 @@ _EXTRAS = {
     "usd": "pxr",
     "hub": "huggingface_hub",
     "ray": "ray",
+    "coco": "pycocotools",
     "remote": "fsspec",
     "gym": "gymnasium",
     "sb3": "stable_baselines3",

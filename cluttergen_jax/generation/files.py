@@ -19,6 +19,7 @@ from cluttergen_jax.progress import track
 from cluttergen_jax.rendering import PictureConfig, contact_sheet, save_png
 from cluttergen_jax.rendering.config import QUALITIES, CameraView
 from cluttergen_jax.rendering.gl import renderer_status
+from cluttergen_jax.rendering.look import USUAL_LOOK, find_look
 from cluttergen_jax.rendering.seat_mark import seat_mark
 from cluttergen_jax.scene.bank import Bank, BankRow
 from cluttergen_jax.scene.export.mjcf import scene_xml
@@ -29,6 +30,8 @@ _OVERVIEW = 12
 _PNG_BEGINS = b"\x89PNG\r\n\x1a\n"
 _PNG_ENDS = b"IEND\xaeB`\x82"
 _MANY = 100
+_SOFT = 10
+"""Pictures averaged into one of so few."""
 _AHEAD = 64
 """Scenes whose objects are uploaded with those of one that is drawn."""
 
@@ -105,10 +108,14 @@ def view_of(bank: Bank) -> CameraView:
 
 def _draw(bank: Bank, scenes: Sequence[BankRow], assets: dict) -> Path:
     images: list[np.ndarray] = []
-    quality = QUALITIES["fine" if len(scenes) <= _MANY else "draft"]
+    draft = QUALITIES["draft"]
+    is_soft = len(scenes) <= _MANY
     objects = [[assets[base_name(name)] for name in scene.objects] for scene in scenes]
     picture = PictureConfig(
-        samples=quality.samples, smoothing=quality.smoothing, view=view_of(bank)
+        samples=_SOFT if is_soft else draft.samples,
+        smoothing=0 if is_soft else draft.smoothing,
+        view=view_of(bank),
+        look=find_look(USUAL_LOOK),
     )
     mark = seat_mark(recorded_rectangle(bank.recipe["region"]), bank.support, bank.seat)
     with ViewMaker(picture) as maker:

@@ -21,6 +21,8 @@ from cluttergen_jax.schema import SchemaError, convert, parse_yaml, read_written
 LOOKS = Path(__file__).with_name("looks")
 FORMAT = 1
 RANDOM = "random"
+USUAL_LOOK = "studio"
+"""Of pictures, unless another is asked for."""
 PLAIN = "plain"
 """No look: a support in its own colours, as datasets have always been drawn."""
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 import pyarrow as pa
@@ -17,27 +17,31 @@ from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.cluster import Cluster, each_on
 from cluttergen_jax.config import DatasetForm, Variation
 from cluttergen_jax.errors import BankError
-from cluttergen_jax.files import remove_partial, write_atomically, writing
+from cluttergen_jax.files import remove_partial, writing
 from cluttergen_jax.placement.world import base_name
-from cluttergen_jax.progress import Progress
+from cluttergen_jax.progress import Progress, track
 from cluttergen_jax.rendering.config import QUALITIES, PhotoConfig, Quality
 from cluttergen_jax.rendering.look import PLAIN, Look, find_look
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.rendering.variation import TEXTURES_OF
 from cluttergen_jax.scene.bank import Bank, read_bank, read_scenes, region_of, select_rows
-from cluttergen_jax.schema import digest_of
+from cluttergen_jax.schema import Record, digest_of
 from cluttergen_jax.sensing import CameraPlan
 from cluttergen_jax.statistics import share_out
 from cluttergen_jax.views.bop import BopConfig, BopScenes
+from cluttergen_jax.views.detection import (
+    DetectionFiles,
+    DetectionForm,
+    check_detection,
+    validation_split,
+)
 from cluttergen_jax.views.maker import SeenScene, ViewMaker
 from cluttergen_jax.views.shards import (
     SCENES_PER_SHARD,
     VIEWS,
-    ShardForm,
-    encode_rows,
-    is_whole_shard,
-    row_of,
-    shard_name,
+    RowFiles,
+    ShardFiles,
+    ViewSource,
 )
 
 _SPLIT_DRAW = 11
@@ -46,6 +50,27 @@ _BESIDE = 0.2
 _HIGH = 0.4
 Runs = list[list[int]]
 """First and last of numbers without a gap, ascending."""
+Shares = Literal["drawn", "exact", "exact of all"]
+"""How scenes get their splits: each by a draw of its own, so that shares come out by chance, as the first
+versions did; exact shares of each bank; or, in new datasets, of all banks together."""
+_HELD: dict[DatasetForm, tuple[str, str]] = {
+    "parquet": ("depth, labels, whole silhouettes, visible shares, boxes, poses, cameras", ""),
+    "webdataset": ("depth, labels, whole silhouettes, visible shares, boxes, poses, cameras", ""),
+    "bop": ("depth, masks, visible shares, boxes, poses, cameras, models", ""),
+    "coco": (
+        "boxes and masks of what is seen; in extra keys whole silhouettes, visible shares, poses, cameras",
+        "depth",
+    ),
+    "yolo": (
+        "boxes of what is seen; in shards/ whole boxes, visible shares, poses, cameras",
+        "depth, masks",
+    ),
+    "yolo-seg": (
+        "outlines of what is seen; in shards/ whole boxes, visible shares, poses, cameras",
+        "depth, whole silhouettes",
+    ),
+}
+"""Besides colours, what files of each form hold, and what they do not."""
 
 
 @dataclass(frozen=True)
@@ -92,15 +117,30 @@ class ViewDataset:
     Attributes:
       path: its folder; form: of its files.
       num_views: by split.
+      has_colour: whether colours were drawn.
     """
 
     path: Path
-    form: str
+    form: DatasetForm
     num_views: dict[str, int]
+    has_colour: bool = True
 
     def __str__(self) -> str:
-        lines = (f"{number} of {split}" for split, number in self.num_views.items())
-        return f"views      {', '.join(lines)} in {self.path} ({self.form})"
+        numbers = (f"{number} of {split}" for split, number in self.num_views.items())
+        held, missing = _HELD[self.form]
+        lines = [
+            f"views      {', '.join(numbers)} in {self.path} ({self.form})",
+            f"holds      {'colours, ' if self.has_colour else ''}{held}",
+        ]
+        if missing:
+            lines.append(f"without    {missing} (which --form parquet has)")
+        split = validation_split(self.num_views)
+        if self.form in ("yolo", "yolo-seg") and split != "val":
+            lines.append(
+                f"val        is {split}: Ultralytics needs a split `val`, and this dataset has none "
+                "(--splits train=0.9,val=0.1)"
+            )
+        return "\n".join(lines)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +165,7 @@ class DatasetPlan:
       banks: their folders; shares: by split; num_scenes: how many of each, the first that stand.
       shards: all of them.
       rounds: of each bank, the scenes that each call added, as runs of numbers, first and last.
+      shares_are: how scenes got their splits.
     """
 
     banks: tuple[Path, ...]
@@ -133,6 +174,7 @@ class DatasetPlan:
     config: ViewConfig
     shards: tuple[Shard, ...]
     rounds: tuple[list[Runs], ...]
+    shares_are: Shares
 
     @classmethod
     def of(
@@ -142,28 +184,32 @@ class DatasetPlan:
         num_scenes: int | None,
         config: ViewConfig,
         least: Sequence[int] = (),
-        rounds: Sequence[list[Runs]] = (),
+        rounds: Sequence[list[Runs]] | None = None,
+        shares_are: Shares = "exact of all",
     ) -> DatasetPlan:
         """Reads which scenes stand, and gives each a split. Scenes of a dataset that grows keep theirs.
 
         Args:
           num_scenes: the first so many of each bank; all if None.
-          least: of each bank, how many are in the dataset already.
-          rounds: those, see the attribute.
+          least: of each bank that is in the dataset already, how many scenes of it are.
+          rounds: those, see the attribute; None where the dataset's record has none.
 
         Raises:
           BankError: there is no bank, none of its scenes stands, or it has fewer than are in the dataset.
         """
-        shards: list[Shard] = []
-        numbers: list[int] = []
+        standing: list[np.ndarray] = []
+        fresh: list[np.ndarray] = []
         grown: list[list[Runs]] = []
         for place, path in enumerate(banks):
             bank = read_bank(path)
             rows = pa.concat_tables(bank.tables(["index", "is_success"]))
             index = np.sort(rows["index"].to_numpy())
             good = np.sort(rows["index"].to_numpy()[rows["is_success"].to_numpy()])
-            there = least[place] if least else 0
-            known = list(rounds[place]) if rounds else []
+            there = least[place] if place < len(least) else 0
+            known = list(rounds[place]) if rounds is not None and place < len(rounds) else []
+            if rounds is None and 0 < there <= len(good):
+                # Records of the first versions say only how many: they are the first.
+                known.append(_runs_of(index[index <= good[there - 1]]))
             is_old = _is_within(good, known)
             if not len(good) or int(is_old.sum()) < there:
                 given = f"{path}: {len(good)} of its scenes stand"
@@ -171,23 +217,38 @@ class DatasetPlan:
                 raise BankError(given, allowed, "more scenes")
             most = len(good) if num_scenes is None else num_scenes
             good = good[is_old | (np.arange(len(good)) < most)]
-            fresh = index[(index <= good[-1]) & ~_is_within(index, known)]
-            if np.isin(fresh, good).any():
-                known.append(_runs_of(fresh))
-            numbers.append(len(good))
+            added = index[(index <= good[-1]) & ~_is_within(index, known)]
+            standing.append(good)
+            fresh.append(added if np.isin(added, good).any() else added[:0])
             grown.append(known)
-            names = _splits_of(good, place, shares, config.seed, known)
+        if any(len(each) for each in fresh):
+            # A round of all banks together, though some have nothing new.
+            number = max(map(len, grown))
+            for known, added in zip(grown, fresh, strict=True):
+                known += [[]] * (number - len(known))
+                known.append(_runs_of(added))
+        shards: list[Shard] = []
+        every = _splits_of(standing, shares, config.seed, grown, shares_are)
+        for place, (good, names) in enumerate(zip(standing, every, strict=True)):
             # By number, so that a bank that grew has its first scenes where they were.
-            number = good // SCENES_PER_SHARD
-            for each in np.unique(number):
+            number_of = good // SCENES_PER_SHARD
+            for each in np.unique(number_of):
                 own = {
-                    split: tuple(good[(number == each) & (names == split)].tolist())
+                    split: tuple(good[(number_of == each) & (names == split)].tolist())
                     for split in shares
                 }
                 shards.append(
                     Shard(place, int(each), {split: some for split, some in own.items() if some})
                 )
-        return cls(tuple(banks), shares, tuple(numbers), config, tuple(shards), tuple(grown))
+        return cls(
+            tuple(banks),
+            shares,
+            tuple(map(len, standing)),
+            config,
+            tuple(shards),
+            tuple(grown),
+            shares_are,
+        )
 
     def num_views(self) -> dict[str, int]:
         """Of each split."""
@@ -212,8 +273,7 @@ class DatasetPlan:
             **({"samples": QUALITIES[config.quality].samples} if config.quality != "draft" else {}),
             **({"look": config.look} if config.look != PLAIN else {}),
             "scenes_per_shard": SCENES_PER_SHARD,
-            # Versions before drew the split of each scene by itself, and shares came out by chance.
-            **({"shares_are": "exact"} if len(self.shares) > 1 else {}),
+            **_shares_record(self.shares, self.shares_are),
         }
 
 
@@ -225,21 +285,54 @@ def _bank_record(path: Path) -> dict[str, Any]:
     return told if region_of(bank) == bank.support.region else told | {"cameras_about": "region"}
 
 
+def _shares_record(shares: dict[str, float], shares_are: Shares) -> dict[str, str]:
+    """What a recipe says of how scenes got their splits; nothing where there is one, or they were drawn."""
+    return {"shares_are": shares_are} if len(shares) > 1 and shares_are != "drawn" else {}
+
+
 def _splits_of(
-    scenes: np.ndarray, bank: int, shares: dict[str, float], seed: int, rounds: Sequence[Runs]
-) -> np.ndarray:
-    """The split of each scene: exact shares of all, and those of earlier rounds stay where they are."""
-    which = np.full(len(scenes), -1)
-    for number, runs in enumerate(rounds):
-        is_new = _is_within(scenes, [runs]) & (which < 0)
-        before = np.bincount(which[which >= 0], minlength=len(shares))
-        rng = np.random.default_rng([seed, bank, number, _SPLIT_DRAW])
-        which[is_new] = share_out(int(is_new.sum()), list(shares.values()), rng, before)
-    return np.array(list(shares))[which]
+    scenes: Sequence[np.ndarray],
+    shares: dict[str, float],
+    seed: int,
+    rounds: Sequence[Sequence[Runs]],
+    shares_are: Shares,
+) -> list[np.ndarray]:
+    """The split of each scene of each bank; those of earlier rounds stay where they are."""
+    names = np.array(list(shares))
+    if len(names) == 1:
+        return [np.repeat(names, len(each)) for each in scenes]
+    if shares_are == "drawn":
+        return [names[_drawn_splits(each, bank, shares, seed)] for bank, each in enumerate(scenes)]
+    which = [np.full(len(each), -1) for each in scenes]
+    for number in range(max(map(len, rounds))):
+        # Of banks with few scenes, chance decides which has those of the smaller splits.
+        order = np.random.default_rng([seed, number, _SPLIT_DRAW]).permutation(len(scenes))
+        for bank in order.tolist():
+            if number >= len(rounds[bank]):
+                continue
+            own = which[bank]
+            is_new = _is_within(scenes[bank], [rounds[bank][number]]) & (own < 0)
+            counted = own if shares_are == "exact" else np.concatenate(which)
+            before = np.bincount(counted[counted >= 0], minlength=len(shares))
+            rng = np.random.default_rng([seed, bank, number, _SPLIT_DRAW])
+            own[is_new] = share_out(int(is_new.sum()), list(shares.values()), rng, before)
+    return [names[each] for each in which]
+
+
+def _drawn_splits(scenes: np.ndarray, bank: int, shares: dict[str, float], seed: int) -> np.ndarray:
+    """i[S]: the split of each scene by its number alone, as the first versions drew it."""
+    drawn = [
+        np.random.default_rng([seed, bank, scene, _SPLIT_DRAW]).uniform()
+        for scene in scenes.tolist()
+    ]
+    edges = np.cumsum(list(shares.values()))
+    return np.minimum(np.searchsorted(edges, drawn, side="right"), len(shares) - 1)
 
 
 def _runs_of(numbers: np.ndarray) -> Runs:
     """Sorted numbers as runs without a gap."""
+    if not len(numbers):
+        return []
     starts = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 2) > 1)
     ends = np.append(starts[1:], len(numbers)) - 1
     return [
@@ -260,12 +353,28 @@ class ShardMaker:
 
     banks: tuple[Path, ...]
     config: ViewConfig
-    out: Path
-    form: ShardForm
+    files: ShardFiles
 
     def __call__(self) -> Callable[[Shard], int]:
         """The function that makes a shard's files, and returns its number of views."""
         return lambda shard: sum(1 for _ in self.views(shard))
+
+    def is_there(self, shard: Shard, digests: Mapping[str, str]) -> bool:
+        """Whether all files of a shard are there as they were written.
+
+        Args:
+          digests: of those that are known, by name.
+        """
+        for split, some in shard.scenes.items():
+            name = self.name_of(shard, split)
+            number = len(some) * len(self.config.cameras)
+            if not self.files.is_whole(name, number, digests.get(name)):
+                return False
+        return True
+
+    def name_of(self, shard: Shard, split: str) -> str:
+        """The file that makes a split of a shard whole."""
+        return self.files.name_of(split, shard.bank, shard.number)
 
     def views(self, shard: Shard) -> Iterator[None]:
         """Makes a shard; yields after each view.
@@ -278,7 +387,9 @@ class ShardMaker:
         split_of = {number: split for split, some in shard.scenes.items() for number in some}
         scenes = _standing_scenes(bank, sorted(split_of))
         config = self.config
-        made: dict[str, list[dict[str, Any]]] = {split: [] for split in shard.scenes}
+        writers = {
+            split: self.files.writer(self.name_of(shard, split), split) for split in shard.scenes
+        }
         with ViewMaker(
             config.picture(),
             is_drawn=config.colour,
@@ -299,14 +410,11 @@ class ShardMaker:
                     if config.vary:
                         maker.dress(rng, TEXTURES_OF[split])
                     view = maker.see(camera, has_instances=True)
-                    # Compressed at once: what a camera sees is some megabytes.
-                    made[split].append(row_of(view, scene, name, plan.name))
+                    source = ViewSource(name, shard.bank, plan.name, number, len(config.cameras))
+                    writers[split].add(view, scene, source)
                     yield
-        for split, rows in made.items():
-            data = encode_rows(rows, self.form)
-            write_atomically(
-                self.out / shard_name(split, shard.bank, shard.number, self.form), data
-            )
+        for writer in writers.values():
+            writer.finish()
 
 
 def _standing_scenes(bank: Bank, numbers: Sequence[int]) -> list[SeenScene]:
@@ -357,52 +465,84 @@ def make(
     cluster: Cluster | None,
 ) -> ViewDataset:
     """A dataset in a folder, begun or continued; see `cluttergen_jax.make_dataset`."""
+    if form in get_args(DetectionForm):
+        check_detection(form, len(banks))
     recipe = DatasetPlan.of(banks, shares, num_scenes, config).recipe() | {"form": form}
     with VIEWS.hold(out), writing(out):
         remove_partial(out)
-        known = VIEWS.begin(out, recipe)
+        known = _begin(out, recipe)
         there = known.get("num_scenes", ())
-        rounds = known.get("rounds", ())
-        plan = DatasetPlan.of(banks, shares, num_scenes, config, there, rounds)
-        record = {
-            "recipe": recipe,
+        plan = DatasetPlan.of(
+            banks,
+            shares,
+            num_scenes,
+            config,
+            there,
+            known.get("rounds", None if there else ()),
+            known["recipe"].get("shares_are", "drawn") if known else "exact of all",
+        )
+        record: Record = {
+            "recipe": plan.recipe() | {"form": form},
             "num_scenes": list(plan.num_scenes),
             "num_views": plan.num_views(),
+            "rounds": list(plan.rounds),
         }
-        record["rounds"] = list(plan.rounds)
+        if form in get_args(DetectionForm):
+            record["categories"] = _categories(banks, known.get("categories", []))
         # Before the first file: another call shares its scenes out as this one does.
         digests = known.get("shards", {})
         VIEWS.write_record(out, record if form == "bop" else record | {"shards": digests})
         if form == "bop":
             _make_bop(plan, out)
         else:
-            shards = _make_shards(plan, out, form, cluster, digests)
+            files: ShardFiles
+            if form == "parquet" or form == "webdataset":
+                files = RowFiles(out, form)
+            else:
+                files = DetectionFiles(out, form, tuple(record["categories"]))
+            maker = ShardMaker(plan.banks, config, files)
+            shards = _make_shards(plan, maker, cluster, digests)
             VIEWS.write_record(out, record | {"shards": shards})
-    return ViewDataset(out, form, plan.num_views())
+    return ViewDataset(out, form, plan.num_views(), config.colour)
+
+
+def _begin(out: Path, recipe: Mapping[str, Any]) -> Record:
+    """What is known of a dataset that is begun or continued: by the rule of its splits, and perhaps with more
+    banks behind those that it has (BankError: it was made by another recipe, see `BlockStore.begin`)."""
+    if not (out / VIEWS.index).exists():
+        return VIEWS.begin(out, recipe)
+    known = VIEWS.read_record(out).get("recipe", {})
+    asked = {name: value for name, value in recipe.items() if name != "shares_are"}
+    if "shares_are" in known:
+        asked["shares_are"] = known["shares_are"]
+    asked["banks"] = recipe["banks"][: max(len(known.get("banks", ())), 1)]
+    return VIEWS.begin(out, asked)
+
+
+def _categories(banks: Sequence[Path], known: Sequence[str]) -> list[str]:
+    """The labels of all objects of the banks, sorted, behind those that the dataset has already."""
+    labels: set[str] = set()
+    for path in banks:
+        bank = read_bank(path)
+        names = bank.object_names
+        labels |= {
+            bank.object(name).label for name in track(names, "categories", len(names), "object")
+        }
+    return [*known, *sorted(labels.difference(known))]
 
 
 def _make_shards(
-    plan: DatasetPlan, out: Path, form: ShardForm, cluster: Cluster | None, digests: dict[str, str]
+    plan: DatasetPlan, maker: ShardMaker, cluster: Cluster | None, digests: dict[str, str]
 ) -> dict[str, str]:
     """Makes those that are missing or damaged; the digest of each by its name."""
-    maker = ShardMaker(plan.banks, plan.config, out, form)
-    num_cameras = len(plan.config.cameras)
-    names = {
-        (shard, split): shard_name(split, shard.bank, shard.number, form)
-        for shard in plan.shards
-        for split in shard.scenes
-    }
-
-    def is_there(shard: Shard) -> bool:
-        for split, some in shard.scenes.items():
-            name = names[shard, split]
-            if not is_whole_shard(out / name, form, len(some) * num_cameras, digests.get(name)):
-                return False
-        return True
-
-    missing = [shard for shard in plan.shards if not is_there(shard)]
+    names: dict[str, list[str]] = {split: [] for split in plan.shares}
+    for shard in plan.shards:
+        for split in shard.scenes:
+            names[split].append(maker.name_of(shard, split))
+    maker.files.remove_partial(tuple(plan.shares))
+    missing = [shard for shard in plan.shards if not maker.is_there(shard, digests)]
     total = sum(plan.num_views().values())
-    left = num_cameras * sum(map(_num_scenes, missing))
+    left = len(plan.config.cameras) * sum(map(_num_scenes, missing))
     with Progress("views", total, "view", total - left) as progress:
         if cluster is None:
             for shard in missing:
@@ -412,7 +552,9 @@ def _make_shards(
             with closing(each_on(cluster, maker, missing, "shard")) as done:
                 for _, views in done:
                     progress.update(views)
-    return {name: digest_of((out / name).read_bytes()) for name in sorted(names.values())}
+    maker.files.write_index(names, plan.num_views())
+    every = sorted(name for some in names.values() for name in some)
+    return {name: digest_of((maker.files.out / name).read_bytes()) for name in every}
 
 
 def _num_scenes(shard: Shard) -> int:

@@ -3,7 +3,7 @@
     dataset.json                     how it was made, how many views each split has
     train-00-000003.parquet (.tar)   the views of a split of 64 scenes of bank 0
 
-A shard holds the scenes of a split among 64 of a bank, perhaps none.
+A shard holds the scenes of a split among 64 of a bank, perhaps none. `views.detection` has other files.
 """
 
 from __future__ import annotations
@@ -11,22 +11,24 @@ from __future__ import annotations
 import io
 import json
 import tarfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from cluttergen_jax.files import write_atomically
 from cluttergen_jax.schema import digest_of
 from cluttergen_jax.sensing import Instance, View
 from cluttergen_jax.stores import BlockStore
 from cluttergen_jax.views.images import depth_png, label_image, png_of
 from cluttergen_jax.views.maker import SeenScene
 
-ShardForm = Literal["parquet", "webdataset"]
-ENDINGS: dict[ShardForm, str] = {"parquet": "parquet", "webdataset": "tar"}
+RowForm = Literal["parquet", "webdataset"]
+ENDINGS: dict[RowForm, str] = {"parquet": "parquet", "webdataset": "tar"}
 VIEWS = BlockStore("views", "dataset.json", "views of scenes", "cluttergen dataset")
 """Folders of datasets of views."""
 _IMAGES = ("rgb", "depth", "label", "amodal")
@@ -59,9 +61,103 @@ row, width, height in pixels; `depth` a PNG file in millimetres along the optica
 or nothing, 1 support, 2 + k object k; `amodal` a PNG file of each object's whole silhouette."""
 
 
-def shard_name(split: str, bank: int, shard: int, form: ShardForm) -> str:
+@dataclass(frozen=True)
+class ViewSource:
+    """Which view of a dataset one is.
+
+    Attributes:
+      bank: its name; bank_number: its place among the banks.
+      camera: its name; camera_number: its place among the `num_cameras` cameras.
+    """
+
+    bank: str
+    bank_number: int
+    camera: str
+    camera_number: int
+    num_cameras: int
+
+
+class ShardWriter(Protocol):
+    """Writes the views of a split of a shard."""
+
+    def add(self, view: View, scene: SeenScene, source: ViewSource) -> None:
+        """Takes a view."""
+
+    def finish(self) -> None:
+        """Makes the shard whole."""
+
+
+class ShardFiles(Protocol):
+    """The files of a dataset in some form."""
+
+    @property
+    def out(self) -> Path:
+        """The dataset's folder."""
+
+    def name_of(self, split: str, bank: int, shard: int) -> str:
+        """The file, in the dataset, that makes a split of a shard whole."""
+
+    def is_whole(self, name: str, num_views: int, digest: str | None) -> bool:
+        """Whether all files of a split of a shard are there as they were written, with so many views.
+
+        Args:
+          digest: of the file of that name, where it is known.
+        """
+
+    def writer(self, name: str, split: str) -> ShardWriter:
+        """Writes a split of a shard."""
+
+    def remove_partial(self, splits: Sequence[str]) -> None:
+        """Removes what a maker that was killed left half written in folders of the dataset."""
+
+    def write_index(
+        self, shards: Mapping[str, Sequence[str]], num_views: Mapping[str, int]
+    ) -> None:
+        """Writes what belongs to all shards, once they are whole; names and numbers of views by split."""
+
+
+@dataclass(frozen=True)
+class RowFiles:
+    """Files of rows, one for each split of a shard; they need nothing else."""
+
+    out: Path
+    form: RowForm
+
+    def name_of(self, split: str, bank: int, shard: int) -> str:
+        return shard_name(split, bank, shard, ENDINGS[self.form])
+
+    def is_whole(self, name: str, num_views: int, digest: str | None) -> bool:
+        return is_whole_shard(self.out / name, self.form, num_views, digest)
+
+    def writer(self, name: str, split: str) -> ShardWriter:
+        return _RowWriter(self.out / name, self.form)
+
+    def remove_partial(self, splits: Sequence[str]) -> None:
+        pass
+
+    def write_index(
+        self, shards: Mapping[str, Sequence[str]], num_views: Mapping[str, int]
+    ) -> None:
+        pass
+
+
+@dataclass
+class _RowWriter:
+    path: Path
+    form: RowForm
+    rows: list[dict[str, Any]] = field(default_factory=list)
+
+    def add(self, view: View, scene: SeenScene, source: ViewSource) -> None:
+        # Compressed at once: what a camera sees is some megabytes.
+        self.rows.append(row_of(view, scene, source.bank, source.camera))
+
+    def finish(self) -> None:
+        write_atomically(self.path, encode_rows(self.rows, self.form))
+
+
+def shard_name(split: str, bank: int, shard: int, ending: str) -> str:
     """The file of a split's views of a shard of scenes."""
-    return f"{split}-{bank:02d}-{shard:06d}.{ENDINGS[form]}"
+    return f"{split}-{bank:02d}-{shard:06d}.{ending}"
 
 
 def row_of(view: View, scene: SeenScene, bank: str, camera: str) -> dict[str, Any]:
@@ -83,8 +179,8 @@ def row_of(view: View, scene: SeenScene, bank: str, camera: str) -> dict[str, An
         "labels": [asset.label for asset in scene.objects],
         "poses": scene.poses.tolist(),
         "visible": [each.visible_share for each in view.instances],
-        "box_visible": [_visible_box(each.visible) for each in view.instances],
-        "box_amodal": [_amodal_box(each) for each in view.instances],
+        "box_visible": [visible_box(each.visible) for each in view.instances],
+        "box_amodal": [amodal_box(each) for each in view.instances],
         "rgb": None if view.rgb is None else png_of(view.rgb),
         "depth": depth_png(view.depth),
         "label": png_of(label_image(view.label, view.label.max())),
@@ -92,7 +188,7 @@ def row_of(view: View, scene: SeenScene, bank: str, camera: str) -> dict[str, An
     }
 
 
-def _visible_box(mask: np.ndarray) -> list[int]:
+def visible_box(mask: np.ndarray) -> list[int]:
     """First column and row, width and height, pixels; zeros where nothing is."""
     rows = np.flatnonzero(mask.any(1))
     columns = np.flatnonzero(mask.any(0))
@@ -101,14 +197,15 @@ def _visible_box(mask: np.ndarray) -> list[int]:
     return [int(columns[0]), int(rows[0]), int(np.ptp(columns)) + 1, int(np.ptp(rows)) + 1]
 
 
-def _amodal_box(each: Instance) -> list[int]:
+def amodal_box(each: Instance) -> list[int]:
+    """The same of its whole silhouette, what lies beyond the picture's edge included."""
     if each.box is None:
         return [0, 0, 0, 0]
     left, right, upper, lower = each.box
     return [left, upper, right - left + 1, lower - upper + 1]
 
 
-def encode_rows(rows: Sequence[dict[str, Any]], form: ShardForm) -> bytes:
+def encode_rows(rows: Sequence[dict[str, Any]], form: RowForm) -> bytes:
     """The views of one shard as a file, a row of `row_of` each."""
     if form == "parquet":
         buffer = io.BytesIO()
@@ -144,7 +241,7 @@ def _tar(rows: Sequence[dict[str, Any]]) -> bytes:
     return buffer.getvalue()
 
 
-def is_whole_shard(path: Path, form: ShardForm, num_views: int, digest: str | None) -> bool:
+def is_whole_shard(path: Path, form: RowForm, num_views: int, digest: str | None) -> bool:
     """Whether a shard is there as it was written, with so many views.
 
     Args:

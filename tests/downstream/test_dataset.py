@@ -130,6 +130,19 @@ def test_scenes_keep_their_split_and_none_is_in_two(bank, plain, tmp_path):
     assert scenes_of(cg.make_dataset(bank.path, tmp_path / "set", num_scenes=1, **grown)) == now
 
 
+def plan_of_banks(sizes, shares, monkeypatch, seed=0, rounds=None, **more):
+    """The plan of a dataset of banks, each of so many scenes that all stand."""
+    tables = {
+        f"bank{place}": pa.table({"index": np.arange(size), "is_success": np.ones(size, bool)})
+        for place, size in enumerate(sizes)
+    }
+    monkeypatch.setattr(
+        plans, "read_bank", lambda path: SimpleNamespace(tables=lambda columns: [tables[path]])
+    )
+    config = ViewConfig(parse_cameras(["overhead"], None), seed)
+    return plans.DatasetPlan.of(list(tables), shares, None, config, (), rounds, **more)
+
+
 def plan_of(index, is_success, shares, seed=0, num_scenes=None, rounds=(), monkeypatch=None):
     """The plan of a dataset of a bank of which only these numbers are known."""
     table = pa.table({"index": index, "is_success": is_success})
@@ -164,6 +177,81 @@ def test_shares_of_scenes_are_exact(number, shares, counts, seed, monkeypatch):
     assert tuple(plan.num_views().values()) == counts
     again = plan_of(np.arange(number), np.ones(number, bool), shares, seed, monkeypatch=monkeypatch)
     assert split_of(plan) == split_of(again)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("sizes", "shares", "counts"),
+    [
+        ((1,) * 7, {"train": 0.7, "test": 0.3}, (5, 2)),
+        ((2, 5), {"train": 0.7, "test": 0.3}, (5, 2)),
+        ((2, 2, 2, 2), {"train": 0.8, "val": 0.1, "test": 0.1}, (6, 1, 1)),
+        ((100, 3), {"train": 0.9, "test": 0.1}, (93, 10)),
+    ],
+)
+def test_shares_are_exact_of_all_banks_together(sizes, shares, counts, seed, monkeypatch):
+    plan = plan_of_banks(sizes, shares, monkeypatch, seed)
+    assert tuple(plan.num_views().values()) == counts
+    for bank, size in enumerate(sizes):
+        for split, share in shares.items():
+            number = sum(
+                len(each.scenes.get(split, ())) for each in plan.shards if each.bank == bank
+            )
+            assert abs(number - share * size) < 2
+
+
+def test_banks_that_come_and_grow_leave_each_scene_in_its_split(monkeypatch):
+    shares = {"train": 0.7, "test": 0.3}
+    rounds = None
+    before = {}
+    for sizes in ((3,), (3, 1), (5, 1, 2), (5, 1, 2), (20, 30, 2)):
+        plan = plan_of_banks(sizes, shares, monkeypatch, rounds=rounds)
+        rounds = plan.rounds
+        now = {
+            (shard.bank, scene): split
+            for shard in plan.shards
+            for split, some in shard.scenes.items()
+            for scene in some
+        }
+        assert before.items() <= now.items()
+        assert len(now) == sum(sizes)
+        assert plan.num_views() == {
+            "train": round(0.7 * len(now)),
+            "test": len(now) - round(0.7 * len(now)),
+        }
+        before = now
+
+
+def test_shares_of_each_bank_are_those_of_datasets_that_were_made_so(monkeypatch):
+    shares = {"train": 0.7, "test": 0.3}
+    plan = plan_of_banks((1,) * 7, shares, monkeypatch, shares_are="exact")
+    assert plan.num_views() == {"train": 7, "test": 0}
+    both = plan_of_banks((10, 20), shares, monkeypatch, shares_are="exact")
+    alone = plan_of_banks((10,), shares, monkeypatch)
+    assert (
+        split_of(alone).items()
+        <= split_of(
+            SimpleNamespace(shards=[each for each in both.shards if each.bank == 0])
+        ).items()
+    )
+
+
+def test_a_dataset_whose_splits_were_drawn_goes_on_by_draws(bank, tmp_path):
+    asked = {"splits": "train=0.6, test=0.4", **PLAIN, "cameras": ("overhead",)}
+    # As the first versions wrote it: no word of shares, and only the number of scenes.
+    shares = {"train": 0.6, "test": 0.4}
+    config = ViewConfig(parse_cameras(["overhead"], SIZE), 3, colour=False)
+    made = plans.DatasetPlan.of([bank.path], shares, 3, config, shares_are="drawn")
+    (tmp_path / "set").mkdir()
+    plans.VIEWS.write_record(
+        tmp_path / "set", {"recipe": made.recipe() | {"form": "parquet"}, "num_scenes": [3]}
+    )
+    whole = cg.make_dataset(bank.path, tmp_path / "set", **asked)
+    found = {row["scene"]: split for split in shares for row in rows_of(whole, split)}
+    # Each scene's draw: of the seed, the bank's place, its number, and the number of this draw.
+    drawn = [np.random.default_rng([3, 0, scene, 11]).uniform() for scene in range(5)]
+    assert found == {scene: "train" if draw < 0.6 else "test" for scene, draw in enumerate(drawn)}
+    assert "shares_are" not in plans.VIEWS.read_record(tmp_path / "set")["recipe"]
 
 
 def test_a_seed_decides_which_scenes_are_where(monkeypatch):
@@ -210,6 +298,13 @@ def test_two_banks_are_two(bank, tmp_path):
     both = cg.make_dataset([bank.path, other.path], tmp_path / "both", **PLAIN)
     assert both.num_views == {"train": 21}
     assert {row["bank"] for row in rows_of(both)} == {"bank", "other"}
+    alone = cg.make_dataset(bank.path, tmp_path / "grown", **PLAIN)
+    before = rows_of(alone)
+    grown = cg.make_dataset([bank.path, other.path], tmp_path / "grown", **PLAIN)
+    assert rows_of(grown) == rows_of(both)
+    assert rows_of(grown)[: len(before)] == before
+    with pytest.raises(BankError, match="made with another banks"):
+        cg.make_dataset([other.path, bank.path], tmp_path / "grown", **PLAIN)
     twin = write_bank(tmp_path / "twin" / "bank", 2)
     with pytest.raises(ConfigError, match="no two folders of one name"):
         cg.make_dataset([bank.path, twin.path], tmp_path / "twins", **PLAIN)
@@ -305,7 +400,7 @@ def test_splits_that_are_none_are_refused(text):
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"form": "coco"}, "parquet, webdataset, bop"),
+        ({"form": "voc"}, "parquet, webdataset, bop, coco, yolo, yolo-seg"),
         ({"quality": "best"}, "draft, fine"),
         ({"vary": ("lights",)}, "texture, light, colour"),
         ({"vary": ("light",)}, "without colours"),
