@@ -1,4 +1,4 @@
-"""Scenes, banks and pools that show themselves: as pictures, in a notebook, in a viewer that does not wait."""
+"""Scenes, banks and pools that show themselves: pictures, notebooks, a viewer that does not wait."""
 
 import base64
 import io
