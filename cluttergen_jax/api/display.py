@@ -82,6 +82,7 @@ def pool_sheet_of(pool: Pool, options: Mapping[str, Any]) -> Image.Image:
     """See `Pool.sheet`."""
     from PIL import Image
 
+    from cluttergen_jax.assets.pool import MOST_READ
     from cluttergen_jax.rendering.assets import object_sheet
 
     _check(options, "sheet", ("objects", "columns", "samples"))
@@ -90,6 +91,10 @@ def pool_sheet_of(pool: Pool, options: Mapping[str, Any]) -> Image.Image:
     check_range("columns", columns, 1, _MOST_COLUMNS, 4)
     if isinstance(names, str):
         raise ConfigError(f"objects = {names!r}", "a sequence of names", f"objects=({names!r},)")
+    if names is None and len(pool) > MOST_READ:
+        given = f"a sheet of all {len(pool)} objects of pool {pool.name!r}"
+        hint = "objects=pool.names[:40]"
+        raise ConfigError(given, f"up to {MOST_READ}, or those of `objects`", hint)
     objects = pool.objects if names is None else [pool[name] for name in names]
     return Image.fromarray(object_sheet(objects, columns, options.get("samples")))
 

@@ -177,8 +177,8 @@ class Pool:
         """Draws objects on one contact sheet, their surfaces beside their collision parts.
 
         Args:
-          options: `objects`, names of those that are drawn, all if not given; `columns`, 4; and `samples`,
-            pictures averaged for each.
+          options: `objects`, names of those that are drawn, all if not given, of up to 200; `columns`, 4;
+            and `samples`, pictures averaged for each.
 
         Raises:
           PoolError: there is no such object.

@@ -284,7 +284,9 @@ class Sampler:
                 raise ConfigError("scene(key) in compiled code", "a key that is known", hint)
             if index:
                 raise ConfigError(f"scene {index} of one key", "0", "another key")
-            sampled = self._compiled(sampled)
+            # What another shelf has compiled serves this one, too.
+            has_shelf = self.shelves is not None
+            sampled = _sample_shelved(self, sampled) if has_shelf else self._compiled(sampled)
         shape = np.shape(sampled.is_success)
         if len(shape) > 1 or not 0 <= index < (shape[0] if shape else 1):
             nothing = "scenes, of which these are none"
@@ -388,6 +390,11 @@ def _unflatten_sampler(static: tuple[Any, ...], parts: tuple[Any, ...]) -> Sampl
 
 
 jax.tree_util.register_pytree_node(Sampler, _flatten_sampler, _unflatten_sampler)
+
+
+@jax.jit
+def _sample_shelved(sampler: Sampler, key: Array) -> SceneBatch:
+    return sampler(key)
 
 
 MAX_RETRIES = 10_000

@@ -6,6 +6,7 @@ import re
 import sys
 import urllib.error
 import urllib.request
+from dataclasses import replace
 from types import SimpleNamespace
 
 import jax
@@ -14,6 +15,7 @@ import pytest
 from PIL import Image
 
 import cluttergen_jax as cg
+from cluttergen_jax.assets.pool import Pool
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import BankError, ConfigError, PoolError
 from cluttergen_jax.rendering.config import CameraView
@@ -266,6 +268,9 @@ def test_a_pool_refuses_objects_and_options_that_it_has_not(pool):
         found.sheet(size="1x1")
     with pytest.raises(ConfigError, match="columns = 0"):
         found.sheet(columns=0)
+    many = Pool("many", [replace(found.objects[0], name=f"object_{each}") for each in range(201)])
+    with pytest.raises(ConfigError, match=r"all 201 objects.*up to 200.*objects=pool\.names"):
+        many.sheet()
 
 
 def test_without_opengl_a_picture_is_refused_and_a_notebook_says_why(bank, pool, monkeypatch):
