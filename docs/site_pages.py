@@ -164,7 +164,7 @@ def _tutorial(text: str, source: str) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-_SECONDS_PER_CELL = 600
+_SECONDS_PER_CELL = 1800
 
 
 def run_notebook(path: Path) -> dict[str, Any]:

@@ -44,7 +44,7 @@ _NOT_DRAWN = ("source", "out", *_PRODUCTS, "views", "split", "pixel_origin", "fi
 """Arguments of `render` that say what is made, or are about films and datasets."""
 _NOT_OF_PICTURES = (*_NOT_DRAWN, "scenes", "columns", "cameras")
 _NOT_OF_SHEETS = (*_NOT_DRAWN, "cameras", "seed")
-_NOTEBOOK = {"size": (640, 480), "quality": "draft"}
+_NOTEBOOK = {"size": (640, 480), "quality": "fine"}
 """Of a scene's picture in a notebook, which is drawn whenever a cell ends with a scene."""
 _SMALL_SHEET = {"size": (240, 180), "quality": "draft", "columns": 4}
 _SCENES = 8
@@ -219,7 +219,7 @@ def _check(options: Mapping[str, Any], verb: str, allowed: Sequence[str]) -> Non
             )
 
 
-def _drawn(source: Any, options: Mapping[str, Any], **products: bool) -> Image.Image:
+def _drawn(source: Any, options: Mapping[str, Any], **products: Any) -> Image.Image:
     """The one picture that `render` makes of these."""
     from PIL import Image
 

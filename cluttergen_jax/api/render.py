@@ -268,10 +268,10 @@ def make_dataset(
             "one of the two",
             "form='parquet' or 'webdataset'",
         )
-    given = [banks] if isinstance(banks, str | Path | Bank) else list(banks)
-    if not given:
+    sources = [banks] if isinstance(banks, str | Path | Bank) else list(banks)
+    if not sources:
         raise ConfigError("no bank", "one or more")
-    chosen = [each.path if isinstance(each, Bank) else each for each in given]
+    chosen = [each.path if isinstance(each, Bank) else each for each in sources]
     folders = [bank_folder(each) for each in chosen]
     if len({each.resolve().name for each in folders}) < len(chosen):
         told = f"banks = {[str(each) for each in chosen]}"
