@@ -49,6 +49,7 @@ MOST_READ = 200
 """Of a larger pool each object is read when it is asked for."""
 _KEPT = 256
 _MOST_NAMED = 60
+_MOST_IN_REPR = 10
 
 
 class StoredObjects(Sequence[ObjectAsset]):
@@ -155,6 +156,9 @@ class Pool:
         ):
             return replace(self, objects=self.objects.select(names))
         return replace(self, objects=tuple(self[name] for name in names))
+
+    def __repr__(self) -> str:
+        return f"Pool({self.name!r}, {len(self)} objects: {first_names(self.names, _MOST_IN_REPR)})"
 
     def __len__(self) -> int:
         return len(self.objects)

@@ -253,6 +253,7 @@ def test_a_pool_shows_its_objects(pool, bank):
     found = cg.load_pool(pool)
     page = found._repr_html_()
     assert f"{len(found)} objects" in page
+    assert repr(found) == "Pool('trio', 3 objects: box, prism, tall)"
     assert len(images_in(page)) == 1
     one = found.sheet(objects=found.names[:1], samples=1)
     assert found.sheet(columns=1, samples=1).size[1] > 2 * one.size[1]
