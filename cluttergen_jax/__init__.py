@@ -35,12 +35,14 @@ Every command has a function with the same defaults:
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from cluttergen_jax.api import display as _drawing
 from cluttergen_jax.api.export import export, pull_bank, pull_policies, push_bank
 from cluttergen_jax.api.generate import generate, place_by_hand, repair
 from cluttergen_jax.api.import_ import import_pool, import_support
 from cluttergen_jax.api.layout import ask_layout, check_layout
 from cluttergen_jax.api.render import make_dataset, render, view
 from cluttergen_jax.api.train import pretrain, train, train_suite
+from cluttergen_jax.display import draw_with
 from cluttergen_jax.judging.api import certify, judge, verify
 from cluttergen_jax.spec import SceneOptions, SceneSpec
 
@@ -155,6 +157,9 @@ __all__ = [
     "view",
     "with_robot",
 ]
+
+# Scenes, banks and pools lie below what draws them.
+draw_with(lambda: _drawing)
 
 # What is in no module of this list is in `generation`.
 _MODULES = {

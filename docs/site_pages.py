@@ -1,19 +1,24 @@
 """MkDocs hook: pages made from the repository (README, examples, reports, references), and links to them.
 
 Nothing is written twice: the home page is the README, tutorials are the examples (which the tests run), the
-command reference is what `--help` prints, and the reference of Python is made from the code.
+command reference is what `--help` prints, and the reference of Python is made from the code. Notebooks are
+run for their outputs; `CLUTTERGEN_RUN_NOTEBOOKS=0` shows their cells alone.
 """
 
 from __future__ import annotations
 
 import ast
+import base64
 import contextlib
 import html
 import io
+import json
 import os
 import posixpath
 import re
+import tempfile
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
@@ -25,20 +30,27 @@ from mkdocs.structure.pages import Page
 from cluttergen_jax.cli.main import COMMANDS, load, main
 
 ROOT = Path(__file__).parents[1]
-PAGES = {
-    "README.md": "index.md",
-    "CONTRIBUTING.md": "contributing.md",
-    "CHANGELOG.md": "changes.md",
-    "studies/benchmarks/README.md": "benchmarks.md",
-    "reports/README.md": "reports/index.md",
-    "reports/results.md": "reports/results.md",
-    "reports/measured.md": "reports/measured.md",
-    "reports/missed.md": "reports/missed.md",
-    "reports/benchmarks.md": "reports/benchmarks.md",
-} | {
-    f"examples/{path.name}": f"tutorials/{path.stem}.md"
-    for path in sorted((ROOT / "examples").glob("*.py"))
-}
+PAGES = (
+    {
+        "README.md": "index.md",
+        "CONTRIBUTING.md": "contributing.md",
+        "CHANGELOG.md": "changes.md",
+        "studies/benchmarks/README.md": "benchmarks.md",
+        "reports/README.md": "reports/index.md",
+        "reports/results.md": "reports/results.md",
+        "reports/measured.md": "reports/measured.md",
+        "reports/missed.md": "reports/missed.md",
+        "reports/benchmarks.md": "reports/benchmarks.md",
+    }
+    | {
+        f"examples/{path.name}": f"tutorials/{path.stem}.md"
+        for path in sorted((ROOT / "examples").glob("*.py"))
+    }
+    | {
+        f"docs/notebooks/{path.name}": f"notebooks/{path.stem}.md"
+        for path in sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
+    }
+)
 """Files of the repository outside docs, and the pages that they become."""
 _LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)([^)\s#]+)(#[^)\s]*)?(?=\))")
 _WIDE = "300"
@@ -90,6 +102,9 @@ class EscapedDocstrings(griffe.Extension):
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Adds the pages that are made."""
     for source, uri in PAGES.items():
+        if source.endswith(".ipynb"):
+            _add_notebook(files, config, source, uri)
+            continue
         text = (ROOT / source).read_text(encoding="utf-8")
         content = _tutorial(text, source) if source.endswith(".py") else text
         files.append(File.generated(config, uri, content=content))
@@ -147,6 +162,67 @@ def _tutorial(text: str, source: str) -> str:
             parts.append(f"```python\n{body.strip()}\n```")
     parts.append(f"The whole program is `{source}`.")
     return "\n\n".join(parts) + "\n"
+
+
+_SECONDS_PER_CELL = 1800
+
+
+def run_notebook(path: Path) -> dict[str, Any]:
+    """A notebook with the outputs of its cells, run in a folder and with user pools of its own.
+
+    Raises:
+      nbclient.exceptions.CellExecutionError: a cell failed; the message has its traceback.
+    """
+    import nbformat
+    from nbclient import NotebookClient
+
+    notebook = nbformat.read(path, as_version=4)
+    with tempfile.TemporaryDirectory() as folder:
+        env = os.environ | {"CLUTTERGEN_HOME": str(Path(folder, "home"))}
+        NotebookClient(
+            notebook,
+            timeout=_SECONDS_PER_CELL,
+            kernel_name="python3",
+            resources={"metadata": {"path": folder}},
+        ).execute(env=env)
+    return notebook
+
+
+def _add_notebook(files: Files, config: MkDocsConfig, source: str, uri: str) -> None:
+    """The page of a notebook, and the pictures that its cells show."""
+    path = ROOT / source
+    is_run = os.environ.get("CLUTTERGEN_RUN_NOTEBOOKS", "1") != "0"
+    notebook = run_notebook(path) if is_run else json.loads(path.read_text(encoding="utf-8"))
+    parts = []
+    for number, cell in enumerate(notebook["cells"]):
+        # A list of lines in the file, one text once it was read by nbformat.
+        text = "".join(cell["source"])
+        if cell["cell_type"] == "markdown":
+            parts.append(text)
+            continue
+        parts.append(f"```python\n{text}\n```")
+        for place, output in enumerate(cell["outputs"]):
+            picture = output.get("data", {}).get("image/png")
+            if picture is None:
+                parts += _output_text(output)
+                continue
+            name = f"{path.stem}_{number}_{place}.png"
+            content = base64.b64decode(picture)
+            files.append(File.generated(config, f"notebooks/{name}", content=content))
+            parts.append(f"![What the cell shows]({name})")
+    # The page is a folder of the site, and the notebook lies beside it.
+    parts.append(f'<a href="../{path.name}" download>Download this notebook</a>')
+    files.append(File.generated(config, uri, content="\n\n".join(parts) + "\n"))
+
+
+def _output_text(output: dict[str, Any]) -> Iterator[str]:
+    """What a cell prints or shows that is no picture; progress bars (stderr) are left out."""
+    data = output.get("data", {})
+    if "text/html" in data:
+        # One line: an empty one would end the block of HTML.
+        yield " ".join(data["text/html"].split("\n"))
+    elif text := data.get("text/plain") or (output.get("name") == "stdout" and output["text"]):
+        yield f"```text\n{text.rstrip()}\n```"
 
 
 def _commands() -> str:

@@ -14,7 +14,7 @@ from cluttergen_jax.config import CameraName, ExportFormat
 from cluttergen_jax.errors import BankError, ConfigError
 
 if TYPE_CHECKING:
-    from cluttergen_jax.scene import Scene
+    from cluttergen_jax.scene import Bank, Scene
     from cluttergen_jax.scene.export import Format
 
 _MANY = 10
@@ -22,7 +22,7 @@ _OF_POLICIES = ("*/record.json", "*/weights.npz", "*/README.md", "*/curve.png")
 
 
 def export(
-    source: str | Path | Scene | Iterable[Scene],
+    source: str | Path | Bank | Scene | Iterable[Scene],
     out: str | Path,
     format: ExportFormat | str | Format = "mjcf",
     *,
@@ -36,7 +36,7 @@ def export(
 
     Args:
       source: a bank; or one scene of it: BANK:INDEX, or its file BANK/scenes/000003.xml. In Python also a
-        `Scene`, or several that share support, contact parameters and time step.
+        `Bank`, a `Scene`, or several that share support, contact parameters and time step.
       out: the folder to make.
       format: "mjcf" (MuJoCo), "mjcf-old" (MuJoCo before 3.2.3), "mjcf-joints" (drawers and
         doors of the support can move), "urdf" (PyBullet), "sdf" (Drake, Gazebo),
@@ -64,6 +64,7 @@ def export(
     from cluttergen_jax.progress import track
     from cluttergen_jax.scene.bank import (
         REFERENCES,
+        Bank,
         check_is_here,
         good_indices,
         local_paths,
@@ -80,6 +81,8 @@ def export(
     if kind is not None and cameras and not kind.takes_cameras:
         note = f"note: cameras stand in scenes/*.json alone: what {kind.name} reads has none"
         print(note, file=sys.stderr)
+    if isinstance(source, Bank):
+        source = source.path
     if not isinstance(source, str | Path):
         if scenes is not None:
             raise ConfigError("`scenes` beside scenes themselves", "one of the two")

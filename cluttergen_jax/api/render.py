@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
@@ -26,6 +27,8 @@ from cluttergen_jax.rendering.config import QUALITIES, CameraView, FilmConfig, P
 
 if TYPE_CHECKING:
     from cluttergen_jax.generation.sources.rendering import RenderReport
+    from cluttergen_jax.rendering.viewer.viewer import Viewer
+    from cluttergen_jax.scene import Bank, Scene
     from cluttergen_jax.views.dataset import ViewDataset
 
 _MOST_VIEWS = 10_000
@@ -35,7 +38,7 @@ _SPLITS = ("train", "val", "test")
 
 @with_kept_programs
 def render(
-    source: str | Path,
+    source: str | Path | Scene | Bank | Sequence[Scene],
     out: str | Path = "out/pictures",
     *,
     scenes: Sequence[int] | str | None = None,
@@ -73,7 +76,7 @@ def render(
 
     Args:
       source: a bank; one scene of it, BANK:INDEX or BANK/scenes/000003.xml; any MJCF file with free bodies;
-        or a checkpoint, whose policy then makes the scenes.
+        or a checkpoint, whose policy then makes the scenes. In Python also a `Bank`, a `Scene`, or several.
       out: the folder for what is made; files are named after the scene.
       scenes: numbers such as 0,3,7 or 0-9, or all; the first success if not given (12 of them on a
         sheet). In Python also a list.
@@ -123,7 +126,7 @@ def render(
 
     Raises:
       PoolError, BankError, AssetError: there is no such source, no such scene, or no success.
-      ConfigError: a setting is out of range.
+      ConfigError: a setting is out of range, or `source` is nothing of the kind.
       RendererError: what is asked for has to be drawn, and nothing can be drawn on this machine.
       BankError: another process writes to `out`.
     """
@@ -201,7 +204,7 @@ def render(
         photo=photo,
     )
     with hold_folder(Path(out)):
-        return rendering.make(str(source), numbers)
+        return rendering.make(str(source) if isinstance(source, Path) else source, numbers)
 
 
 def _numbers(scenes: Sequence[int] | str | None) -> Sequence[int] | Literal["all"] | None:
@@ -211,7 +214,7 @@ def _numbers(scenes: Sequence[int] | str | None) -> Sequence[int] | Literal["all
 
 @with_own_settings
 def make_dataset(
-    banks: Sequence[str | Path] | str | Path,
+    banks: Sequence[str | Path | Bank] | str | Path | Bank,
     out: str | Path = "dataset",
     *,
     cameras: Sequence[str | Path] = ("free:4",),
@@ -232,7 +235,7 @@ def make_dataset(
     camera. The same call takes up an interrupted one.
 
     Args:
-      banks: a bank's folder, or several.
+      banks: a bank's folder, or several. In Python also a `Bank`, or several.
       out: the folder.
       cameras: "free", "overhead" or "side", "free:4" for four that are drawn for each scene, or JSON files
         with cameras of your own, fixed or drawn from ranges (docs/guide/datasets.md).
@@ -266,7 +269,7 @@ def make_dataset(
     from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.rendering.gl import find_backend
     from cluttergen_jax.rendering.renderer import check_size
-    from cluttergen_jax.scene.bank import bank_folder
+    from cluttergen_jax.scene.bank import Bank, bank_folder
     from cluttergen_jax.sensing import parse_cameras
     from cluttergen_jax.views.dataset import ViewConfig, make
 
@@ -304,9 +307,10 @@ def make_dataset(
             "one of the two",
             "form='parquet' or 'webdataset'",
         )
-    chosen = [banks] if isinstance(banks, str | Path) else list(banks)
-    if not chosen:
+    sources = [banks] if isinstance(banks, str | Path | Bank) else list(banks)
+    if not sources:
         raise ConfigError("no bank", "one or more")
+    chosen = [each.path if isinstance(each, Bank) else each for each in sources]
     folders = [bank_folder(each) for each in chosen]
     if len({each.resolve().name for each in folders}) < len(chosen):
         told = f"banks = {[str(each) for each in chosen]}"
@@ -345,7 +349,7 @@ def parse_splits(text: str) -> dict[str, float]:
 
 @with_kept_programs
 def view(
-    source: str | Path | None = None,
+    source: str | Path | Scene | Bank | Sequence[Scene] | None = None,
     *,
     pool: str | Path | None = None,
     method: Method | None = None,
@@ -357,12 +361,17 @@ def view(
     browser: bool = True,
     screenshots: str | Path = "out/screenshots",
     show: Callable[[str], None] = print,
-) -> None:
+    block: bool | None = None,
+) -> Viewer | None:
     """Shows scenes in a browser until Ctrl-C, or in a window until it is closed (`cluttergen view`).
+
+        viewer = cg.view("out", block=False)   # runs on; the last line of a cell shows it below the cell
+        viewer.close()
 
     Args:
       source: a bank; one scene of it, BANK:INDEX or BANK/scenes/000003.xml; any MJCF file with free bodies;
         or a checkpoint, whose policy then makes the scenes. Without it, `method` makes them from `pool`.
+        In Python also a `Bank`, a `Scene`, or several.
       pool: a pool's name or folder to sample from where no bank says it; a checkpoint's own if one is given.
       method: as `generate` takes it; the checkpoint's own, else "drop".
       num_objects: all of the pool's (40 at most) if not given.
@@ -370,18 +379,24 @@ def view(
       native: open MuJoCo's own viewer instead (needs a screen).
       host: the address to listen on; 0.0.0.0 lets other machines look, if they have the token.
       port: 0 takes any free one.
-      browser: open a browser.
+      browser: open a browser; not from a notebook, which shows the viewer itself.
       screenshots: the folder for screenshots.
       show: is given the lines that tell where the viewer is.
+      block: wait for Ctrl-C; False returns at once, and the viewer runs until it is closed or Python ends. If
+        not given, True but in a notebook.
+
+    Returns:
+      The viewer, which has its address, `url`, and `close()`; None after Ctrl-C or for a window.
 
     Raises:
       PoolError, BankError, AssetError: there is nothing of the kind, or it cannot be read.
-      ConfigError: the port is taken, or there is no such method.
+      ConfigError: the port is taken, there is no such method, `source` is nothing of the kind, or `native` is
+        asked not to wait.
       MissingExtraError: the extra `viewer` is not installed.
       DisplayError: there is no screen for `native`.
     """
     from cluttergen_jax.generation.sources import LiveConfig
-    from cluttergen_jax.generation.sources.viewing import view_native, view_web
+    from cluttergen_jax.generation.sources.viewing import open_viewer, view_native, view_web
 
     live = LiveConfig(
         None if pool is None else str(pool),
@@ -389,8 +404,27 @@ def view(
         num_objects,
         None if support is None else str(support),
     )
-    text = None if source is None else str(source)
+    given = str(source) if isinstance(source, Path) else source
     if native:
-        view_native(text, live, show)
-    else:
-        view_web(text, live, host, port, browser, Path(screenshots), show)
+        if block is False:
+            hint = "native=False, the viewer in a browser"
+            raise ConfigError(
+                "block=False with native=True, a window that waits", "one of the two", hint
+            )
+        view_native(given, live, show)
+        return None
+    if block is None:
+        block = not in_notebook()
+    if block:
+        view_web(given, live, host, port, browser, Path(screenshots), show)
+        return None
+    return open_viewer(
+        given, live, host, port, browser and not in_notebook(), Path(screenshots), show
+    )
+
+
+def in_notebook() -> bool:
+    """Whether a notebook runs this process: IPython with a kernel, as in Jupyter, Colab and editors."""
+    ipython = sys.modules.get("IPython")
+    shell = None if ipython is None else ipython.get_ipython()
+    return hasattr(shell, "kernel")

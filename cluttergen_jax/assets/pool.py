@@ -18,7 +18,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
-from typing import Annotated, Any, overload
+from typing import TYPE_CHECKING, Annotated, Any, overload
 
 import msgspec
 
@@ -31,10 +31,14 @@ from cluttergen_jax.assets.object_files import (
     read_object,
     write_object,
 )
+from cluttergen_jax.display import display
 from cluttergen_jax.errors import ClutterGenError, PoolError, closest, first_names
 from cluttergen_jax.files import folder_whole, inside, read_regular, scratch_folder, writing
 from cluttergen_jax.kept_folder import PATIENCE, hold, lock_beside
 from cluttergen_jax.schema import SchemaError, checked_record, convert, record_bytes
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 EMBEDDED = ("dining", "study", "office", "kitchen", "household")
 ALL = "all"
@@ -45,6 +49,7 @@ MOST_READ = 200
 """Of a larger pool each object is read when it is asked for."""
 _KEPT = 256
 _MOST_NAMED = 60
+_MOST_IN_REPR = 10
 
 
 class StoredObjects(Sequence[ObjectAsset]):
@@ -96,7 +101,7 @@ def _read_called(folder: Path, name: str) -> ObjectAsset:
 
 @dataclass(frozen=True, eq=False)
 class Pool:
-    """A set of objects with unique names, in a fixed order.
+    """A set of objects with unique names, in a fixed order. In a notebook it is shown as pictures.
 
     Attributes:
       name: `[a-z0-9_-]+`.
@@ -152,6 +157,9 @@ class Pool:
             return replace(self, objects=self.objects.select(names))
         return replace(self, objects=tuple(self[name] for name in names))
 
+    def __repr__(self) -> str:
+        return f"Pool({self.name!r}, {len(self)} objects: {first_names(self.names, _MOST_IN_REPR)})"
+
     def __len__(self) -> int:
         return len(self.objects)
 
@@ -168,6 +176,23 @@ class Pool:
                 meant=closest(name, self.names),
             )
         return self.objects[self._places[name]]
+
+    def sheet(self, **options: Any) -> Image.Image:
+        """Draws objects on one contact sheet, their surfaces beside their collision parts.
+
+        Args:
+          options: `objects`, names of those that are drawn, all if not given, of up to 200; `columns`, 4;
+            and `samples`, pictures averaged for each.
+
+        Raises:
+          PoolError: there is no such object.
+          ConfigError: another option, or a number out of range.
+          RendererError: nothing can be drawn on this machine.
+        """
+        return display().pool_sheet_of(self, options)
+
+    def _repr_html_(self) -> str:
+        return display().pool_html_of(self)
 
     @cached_property
     def _places(self) -> dict[str, int]:

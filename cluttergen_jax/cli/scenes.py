@@ -196,6 +196,7 @@ def run_pull(options: Options) -> None:
 @command(
     view,
     place_by_hand,
+    left_out=("block",),
     source=Positional[str | None],  # type: ignore[misc]
     region=str | None,
     keep_out=tuple[str, ...],

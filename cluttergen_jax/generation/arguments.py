@@ -41,7 +41,7 @@ def check_key(key: Any, call: str = "sample") -> None:
             f"{call}(key) with a {type(key).__name__} of type {dtype} and shape {shape}",
             "one key, as jax.random.key(0)",
             f"jax.vmap({call})(jax.random.split(jax.random.key(0), 256)) for many scenes"
-            if call != "reshelve"
+            if call not in ("reshelve", "scene")
             else "one of several, as keys[0]",
         )
 

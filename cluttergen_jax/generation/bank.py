@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterator, Sequence, Sized
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -19,20 +21,26 @@ from cluttergen_jax.generation.arguments import check_key, is_known
 from cluttergen_jax.generation.bank_world import BankAttachment, attach_bank
 from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.placement import from_pose
-from cluttergen_jax.scene import Bank, Scene, SceneCollection, read_bank, scene_cameras
+from cluttergen_jax.scene import Bank, Scene, SceneCollection, read_bank, read_scenes, scene_cameras
 from cluttergen_jax.scene.bank.hub import find_bank
 from cluttergen_jax.scene.bank.scene import PlacedAssets, SceneArrayReader, join_scenes
 from cluttergen_jax.scene.collection import SceneModel, compile_scenes
 from cluttergen_jax.scene.scene import KEYFRAME
 from cluttergen_jax.types import Array
 
+if TYPE_CHECKING:
+    from PIL import Image
+
 _MOST = 2**31 - 1
+_SHEET = 12
+"""Scenes of a sheet."""
 
 
 class BankArrays(struct.PyTreeNode):
     """The S scenes of a bank that stand, in one MuJoCo model of K objects; see `load_bank`. N slots.
 
-    A scene that is taken from it (`reset`, `scene`) is of this type too, without the leading axis S.
+    A scene taken from it (`reset`, `scene`) is of this type too, without the leading axis S. `bank[i]`
+    and iteration give a `Scene`.
 
     Attributes:
       index: i32[S], their numbers in the bank.
@@ -52,6 +60,46 @@ class BankArrays(struct.PyTreeNode):
 
     def __len__(self) -> int:
         return len(self.index)
+
+    def __getitem__(self, place: int | slice) -> Scene | list[Scene]:
+        """The scene at `place` on the host, read from the bank; several by a slice. `scene` has it as arrays.
+
+        Raises:
+          ConfigError: there is no such scene, or this is one scene or in compiled code.
+          BankError: the bank was changed since.
+        """
+        numbers = self._numbers()
+        if isinstance(place, slice):
+            return [self.bank[int(number)] for number in numbers[place]]
+        if not -len(numbers) <= operator.index(place) < len(numbers):
+            raise ConfigError(f"scene {place} of those that stand", range_text(0, len(numbers) - 1))
+        return self.bank[int(numbers[place])]
+
+    def __iter__(self) -> Iterator[Scene]:
+        """The scenes on the host, one by one."""
+        return read_scenes(self.bank, self._numbers().tolist())
+
+    def _numbers(self) -> np.ndarray:
+        """i32[S]: `index` on the host."""
+        if not is_known(self.index) or np.ndim(self.index) != 1:
+            raise ConfigError(
+                "scenes on the host, of one scene or in compiled code",
+                "a bank as `load_bank` reads it",
+            )
+        return np.asarray(self.index)
+
+    def sheet(self, **options: Any) -> Image.Image:
+        """Draws scenes on one contact sheet: the first 12 of these, or see `Bank.sheet`."""
+        options.setdefault("scenes", self._numbers()[:_SHEET].tolist())
+        return self.bank.sheet(**options)
+
+    def show(self, **options: Any) -> Any:
+        """Shows the bank in the viewer; see `Scene.show`."""
+        return self.bank.show(**options)
+
+    def _repr_html_(self) -> str | None:
+        is_bank = is_known(self.index) and np.ndim(self.index) == 1
+        return self.bank._repr_html_() if is_bank else None
 
     def __repr__(self) -> str:
         number = np.prod(np.shape(self.index), dtype=int)

@@ -13,7 +13,6 @@ from cluttergen_jax.assets import ObjectAsset
 from cluttergen_jax.assets.support import recorded_rectangle
 from cluttergen_jax.files import inside, write_atomically
 from cluttergen_jax.placement.problem import ProblemConfig
-from cluttergen_jax.placement.relations import SIDES, parse_relations
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.progress import track
 from cluttergen_jax.rendering import PictureConfig, contact_sheet, save_png
@@ -21,6 +20,7 @@ from cluttergen_jax.rendering.config import QUALITIES, CameraView
 from cluttergen_jax.rendering.gl import renderer_status
 from cluttergen_jax.rendering.look import USUAL_LOOK, find_look
 from cluttergen_jax.rendering.seat_mark import seat_mark
+from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.bank import Bank, BankRow
 from cluttergen_jax.scene.export.mjcf import scene_xml
 from cluttergen_jax.schema import digest_of
@@ -94,16 +94,15 @@ def _is_whole_png(path: Path) -> bool:
     return data.startswith(_PNG_BEGINS) and data.endswith(_PNG_ENDS)
 
 
-def view_of(bank: Bank) -> CameraView:
+def view_of(asked: Bank | Scene) -> CameraView:
     """From where scenes are drawn unasked: where relations have sides, from where left and right are meant.
 
     That is from the region's -y side, looking along its +y.
     """
-    recipe = bank.recipe
-    relations = parse_relations(recipe.get("placement", {}).get("relations", ()))
-    if not any(each.kind in SIDES for each in relations):
+    if not asked.has_sides:
         return CameraView()
-    return CameraView(azimuth=90.0 + math.degrees(recorded_rectangle(recipe["region"]).yaw))
+    region = asked.region or asked.support.region
+    return CameraView(azimuth=90.0 + math.degrees(region.yaw))
 
 
 def _draw(bank: Bank, scenes: Sequence[BankRow], assets: dict) -> Path:

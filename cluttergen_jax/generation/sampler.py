@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -14,6 +14,7 @@ import numpy as np
 from flax import struct
 
 from cluttergen_jax.assets import SupportAsset, public_name
+from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.config import check_range, check_whole
 from cluttergen_jax.errors import ConfigError, range_text
 from cluttergen_jax.generation.arguments import (
@@ -30,6 +31,7 @@ from cluttergen_jax.numerics import as_float32, with_own_settings
 from cluttergen_jax.placement import Episode, KeepOut, Region, Start
 from cluttergen_jax.placement.observation import ObservationConfig, observe
 from cluttergen_jax.placement.problem import Problem, Setup, make_setup
+from cluttergen_jax.placement.relations import SIDES, parse_relations
 from cluttergen_jax.placement.rollout import BlockSampler, varying_alike
 from cluttergen_jax.placement.scenes import BLOCK_SIZE, SceneBatch, scene_of
 from cluttergen_jax.placement.shelves import Shelves
@@ -262,15 +264,29 @@ class Sampler:
         return self.problem.world.names
 
     @with_own_settings
-    def scene(self, sampled: SceneBatch, index: int = 0) -> Scene:
+    def scene(self, sampled: SceneBatch | Array, index: int = 0) -> Scene:
         """One scene on the host, as pictures, exports and models (`Scene.to_mjspec`) take it.
 
+            sample.scene(jax.random.key(0)).picture()
+
         Args:
-          sampled: a scene without leading axes, or a batch with one, of which number `index` is taken.
+          sampled: a scene without leading axes, or a batch with one, of which number `index` is taken. Or one
+            PRNG key, of which a scene is sampled; the first call compiles that for some seconds.
 
         Raises:
-          ConfigError: the batch has no such scene, or more than one leading axis; or it is of another shelf.
+          ConfigError: the batch has no such scene, or more than one leading axis; it is of another shelf; or
+            what is given is neither scenes nor one key, or traced.
         """
+        if not isinstance(sampled, SceneBatch):
+            check_key(sampled, "scene")
+            if not is_known(sampled):
+                hint = "scene(sample(key)) outside of it, of what the compiled code returns"
+                raise ConfigError("scene(key) in compiled code", "a key that is known", hint)
+            if index:
+                raise ConfigError(f"scene {index} of one key", "0", "another key")
+            # What another shelf has compiled serves this one, too.
+            has_shelf = self.shelves is not None
+            sampled = _sample_shelved(self, sampled) if has_shelf else self._compiled(sampled)
         shape = np.shape(sampled.is_success)
         if len(shape) > 1 or not 0 <= index < (shape[0] if shape else 1):
             nothing = "scenes, of which these are none"
@@ -308,6 +324,39 @@ class Sampler:
                 is_success=bool(sampled.is_success),
                 drift=float(sampled.drift),
             ),
+            region=self._rectangle(sampled.region),
+            seat=config.placement.seat if config.placement.natural else "",
+            has_sides=any(
+                each.kind in SIDES for each in parse_relations(config.placement.relations)
+            ),
+        )
+
+    @cached_property
+    def _compiled(self) -> Callable[[Array], SceneBatch]:
+        return jax.jit(partial(type(self).__call__, self))
+
+    def _rectangle(self, region: Region | None) -> Rectangle:
+        """The region of one scene, in the frame in which the sampler's own is given."""
+        own = self.problem.region
+        rules = self.steps.rules
+        if region is None or rules.surfaces is not None:
+            return own
+        usual = rules.region
+        if jax.tree.all(jax.tree.map(lambda a, b: bool(jnp.array_equal(a, b)), usual, region)):
+            return own
+        moved = usual.T_world_region.inverse() @ region.T_world_region
+        (x, y, _) = np.asarray(moved.translation(), float)
+        yaw = float(moved.rotation().as_rpy_radians().yaw)
+        (half_x, half_y) = np.asarray(region.half_extents, float)
+        if not (np.isfinite([x, y, yaw, half_x, half_y]).all() and min(half_x, half_y) > 0):
+            # A traced region may be anything; then nothing was placed in it.
+            return own
+        cos = np.cos(own.yaw)
+        sin = np.sin(own.yaw)
+        return Rectangle(
+            (float(own.center[0] + cos * x - sin * y), float(own.center[1] + sin * x + cos * y)),
+            (float(half_x), float(half_y)),
+            own.yaw + yaw,
         )
 
 
@@ -341,6 +390,11 @@ def _unflatten_sampler(static: tuple[Any, ...], parts: tuple[Any, ...]) -> Sampl
 
 
 jax.tree_util.register_pytree_node(Sampler, _flatten_sampler, _unflatten_sampler)
+
+
+@jax.jit
+def _sample_shelved(sampler: Sampler, key: Array) -> SceneBatch:
+    return sampler(key)
 
 
 MAX_RETRIES = 10_000

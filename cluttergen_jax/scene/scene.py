@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -11,12 +12,16 @@ import numpy as np
 from cluttergen_jax.assets.doors import with_doors_open
 from cluttergen_jax.assets.mjcf import new_spec, populated_spec
 from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.display import display
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import product, transform_points
 from cluttergen_jax.placement.doors import poses_on
 from cluttergen_jax.scene.cameras import FixedCamera
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 _UNIT = 1e-3
 _NAMED = 10
@@ -86,7 +91,7 @@ class Attachment:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Objects on a support.
+    """Objects on a support. In a notebook it is shown as a picture.
 
     Attributes:
       names: N unique names, in the order of placement.
@@ -97,6 +102,10 @@ class Scene:
       contact: friction, softness and solver.
       origin: how it came about.
       cameras: around the support; see `scene.cameras.scene_cameras`.
+      region: in which its objects were asked to be; None for the support's own.
+      seat: at which side of the region someone sits (`SceneSpec.seat`); "" where nobody does.
+      has_sides: relations asked for left, right, front or back, so that pictures are taken from the region's
+        -y side, which these words are meant from.
 
     Raises:
       ConfigError: the numbers of names, objects and poses differ, a name comes twice, or a pose is none.
@@ -110,6 +119,9 @@ class Scene:
     contact: ContactConfig = field(default_factory=ContactConfig)
     origin: Origin = field(default_factory=Origin)
     cameras: tuple[FixedCamera, ...] = ()
+    region: Rectangle | None = None
+    seat: str = ""
+    has_sides: bool = False
 
     def __repr__(self) -> str:
         names = ", ".join(self.names[:_NAMED])
@@ -149,6 +161,39 @@ class Scene:
         support = with_doors_open(self.support)
         poses = poses_on(self.support, support, self.objects, self.poses)
         return replace(self, support=support, poses=poses)
+
+    def picture(self, **options: Any) -> Image.Image:
+        """Draws the scene, as `cluttergen_jax.render` does.
+
+            scene.picture(size="640x480", quality="draft").save("scene.png")
+
+        Args:
+          options: what `render` takes of one picture: size, view, whole, hulls, doors, quality, samples and
+            others; and `camera` in place of its `cameras`.
+
+        Raises:
+          ConfigError: a setting is out of range, or `render` takes it for something else than one picture.
+          RendererError: nothing can be drawn on this machine.
+        """
+        return display().picture_of(self, options)
+
+    def show(self, **options: Any) -> Any:
+        """Shows the scene in the viewer: in a notebook below the cell, else in a browser until Ctrl-C.
+
+        Args:
+          options: what `cluttergen_jax.view` takes beside its source; `port` is any free one if not given.
+
+        Returns:
+          What `view` returns.
+
+        Raises:
+          ConfigError: the port is taken.
+          MissingExtraError: the extra `viewer` is not installed.
+        """
+        return display().show(self, options)
+
+    def _repr_png_(self) -> bytes | None:
+        return display().png_of(self)
 
     def to_mjspec(self, prefix: str = "", *, support: bool = True) -> mujoco.MjSpec:
         """The scene as a specification of its own, every name with `prefix` before it.

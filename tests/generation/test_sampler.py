@@ -184,6 +184,43 @@ def test_is_the_scene_that_generate_saves(sample, bank):
         np.testing.assert_array_equal(ours.poses[row][ours.is_placed[row]], theirs.poses)
 
 
+def test_a_key_gives_the_scene_that_is_sampled_from_it(sample, scenes):
+    scene = sample.scene(KEYS[2])
+    expected = sample.scene(scenes, 2)
+    assert (scene.names, scene.origin.verdict) == (expected.names, expected.origin.verdict)
+    np.testing.assert_allclose(scene.poses, expected.poses, atol=1e-7)
+    assert scene.region == sample.problem.region
+
+
+@pytest.mark.parametrize(
+    ("given", "index", "says"),
+    [
+        (KEYS, 0, r"scene\(key\).*shape \(6,\).*one key"),
+        ("key", 0, "a str.*one key"),
+        (KEYS[0], 1, "scene 1 of one key"),
+    ],
+)
+def test_what_is_neither_scenes_nor_one_key_is_refused(sample, given, index, says):
+    with pytest.raises(ConfigError, match=says):
+        sample.scene(given, index)
+
+
+def test_a_key_that_is_traced_is_refused(sample):
+    with pytest.raises(ConfigError, match=r"scene\(key\) in compiled code"):
+        jax.jit(sample.scene)(KEYS[0])
+
+
+@pytest.mark.parametrize("rectangle", [((0.0, 0.0), 0.0), ((0.1, -0.05), 0.0), ((-0.05, 0.1), 1.2)])
+def test_a_scene_knows_the_region_of_its_call(sample, scenes, rectangle):
+    (center, yaw) = rectangle
+    region = make_region(jnp.array(center), jnp.array([0.1, 0.05]), yaw, 0.7)
+    one = jax.tree.map(lambda leaf: leaf[0], scenes).replace(region=region)
+    found = sample.scene(one).region
+    np.testing.assert_allclose(found.center, center, atol=1e-6)
+    np.testing.assert_allclose(found.half_extents, (0.1, 0.05), atol=1e-6)
+    assert found.yaw == pytest.approx(yaw, abs=1e-6)
+
+
 @pytest.mark.slow
 def test_retries_draw_again_until_a_scene_passes(pool):
     # On so small a table, three objects at random fail more often than not.

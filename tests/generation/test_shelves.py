@@ -103,6 +103,9 @@ def test_another_shelf_and_the_first_one_again(sample, many):
     np.testing.assert_array_equal(first.poses, again.poses)
     scenes = jax.device_get(many(other, keys))
     assert set(other.scene(scenes, 0).names) <= set(other.names)
+    alone = other.scene(keys[0])
+    assert alone.names == other.scene(scenes, 0).names
+    np.testing.assert_allclose(alone.poses, other.scene(scenes, 0).poses, atol=1e-7)
     with pytest.raises(ConfigError, match="scenes of another shelf"):
         sample.scene(scenes, 0)
     for call, message in (

@@ -5,7 +5,8 @@ from cluttergen_jax.generation.sources.scene_sources import (
     FileSource,
     LiveConfig,
     LiveSource,
+    ScenesSource,
     open_source,
 )
 
-__all__ = ["BankSource", "FileSource", "LiveConfig", "LiveSource", "open_source"]
+__all__ = ["BankSource", "FileSource", "LiveConfig", "LiveSource", "ScenesSource", "open_source"]

@@ -19,7 +19,7 @@ from cluttergen_jax.config import DoorState
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.generation.files import view_of
-from cluttergen_jax.generation.sources import BankSource, FileSource, open_source
+from cluttergen_jax.generation.sources import BankSource, FileSource, ScenesSource, open_source
 from cluttergen_jax.placement import Replay
 from cluttergen_jax.placement.doors import poses_on
 from cluttergen_jax.progress import track
@@ -31,6 +31,7 @@ from cluttergen_jax.rendering.gl import RendererError, find_backend
 from cluttergen_jax.rendering.look import PLAIN, Look, find_look
 from cluttergen_jax.rendering.seat_mark import seat_mark
 from cluttergen_jax.rendering.viewer.source import SceneSource
+from cluttergen_jax.scene import Bank, Scene
 from cluttergen_jax.scene.bank.scene import missing_text
 from cluttergen_jax.sensing.camera import REALSENSE_SIZE, Camera, CameraPlan
 from cluttergen_jax.views import ViewMaker
@@ -104,14 +105,24 @@ class Rendering:
     furnished: str = PLAIN
     photo: PhotoConfig = field(default_factory=PhotoConfig)
 
-    def make(self, source: str, scenes: Sequence[int] | Literal["all"] | None) -> RenderReport:
-        """Makes everything that is asked for of scenes of a source; see `chosen_numbers`."""
+    def make(
+        self,
+        source: str | Bank | Scene | Sequence[Scene],
+        scenes: Sequence[int] | Literal["all"] | None,
+    ) -> RenderReport:
+        """Makes everything that is asked for of scenes of a source; see `open_source`, `chosen_numbers`."""
         if self._makes("turntable", "replay"):
             check_format(self.film)
         opened, own = open_source(source)
-        if self.has_view or not isinstance(opened, BankSource):
+        asked: list[Bank | Scene] = []
+        if isinstance(opened, BankSource):
+            asked = [opened.bank]
+        elif isinstance(opened, ScenesSource):
+            asked = list(opened.scenes.values())
+        views = {view_of(each) for each in asked}
+        if self.has_view or len(views) != 1:
             return self._make_all(opened, own, scenes)
-        look = replace(self.look, view=view_of(opened.bank))
+        look = replace(self.look, view=views.pop())
         return replace(self, look=look)._make_all(opened, own, scenes)
 
     def _make_all(
@@ -404,7 +415,8 @@ def chosen_numbers(
             )
         return list(asked)
     if not isinstance(source, BankSource):
-        return list(source.numbers[:count])
+        # Scenes that were handed over are all meant; seeds have no end.
+        return list(source.numbers if isinstance(source, ScenesSource) else source.numbers[:count])
     good = source.successes if asked is None else source.numbers
     if not good:
         raise BankError(

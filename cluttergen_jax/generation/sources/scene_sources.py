@@ -1,7 +1,8 @@
-"""Scenes on disk: those of a bank, and one in an MJCF file."""
+"""Where scenes to look at come from: banks, MJCF files, scenes in memory, methods that make them."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import compress
@@ -12,7 +13,7 @@ import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle, recorded_rectangle
 from cluttergen_jax.config import Method
-from cluttergen_jax.errors import BankError, ClutterGenError, PoolError
+from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError, PoolError
 from cluttergen_jax.generation import make_sampler
 from cluttergen_jax.generation.sources.replay import ReplayContext, replay, replay_context_of
 from cluttergen_jax.learning import checkpoint_of
@@ -20,7 +21,7 @@ from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
 from cluttergen_jax.placement import Replay, Setup
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.rendering.viewer.source import SceneSource
-from cluttergen_jax.scene import Bank, read_bank
+from cluttergen_jax.scene import Bank, Scene, read_bank
 from cluttergen_jax.scene.bank.bank import INDEX
 from cluttergen_jax.scene.bank.scene import parse_reference
 from cluttergen_jax.scene.mjcf_file import read_mjcf_scene_with_notes
@@ -108,29 +109,21 @@ class BankSource:
         return recorded_rectangle(region) if region else self.bank.support.region
 
 
-class FileSource:
-    """One scene from an MJCF file that is no part of a bank.
+class ScenesSource:
+    """Scenes in memory, without the attempts that led to them.
 
-    Raises:
-      AssetError: MuJoCo cannot read it.
+    Args:
+      name: what to call them all.
+      scenes: by number, in order; at least one.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.name = path.stem
-        self.numbers: tuple[int, ...] = (0,)
+    _is_a = "a `Scene`"
+
+    def __init__(self, name: str, scenes: Mapping[int, Scene]) -> None:
+        self.name = name
+        self.scenes = dict(scenes)
+        self.numbers: tuple[int, ...] = tuple(self.scenes)
         self.methods: tuple[str, ...] = ()
-        scene, self.notes = read_mjcf_scene_with_notes(path)
-        self._still = Replay(
-            title=self.name,
-            objects=scene.objects,
-            names=scene.names,
-            support=scene.support,
-            region=scene.support.region,
-            poses=scene.poses.astype(np.float32),
-            is_placed=np.ones(len(scene.names), bool),
-            is_success=True,
-            verdict="not judged",
-        )
 
     def notice(self, method: str | None = None) -> str:
         """See `SceneSource`."""
@@ -138,18 +131,49 @@ class FileSource:
 
     def still(self, number: int) -> Replay:
         """See `SceneSource`."""
-        return self._still
+        scene = self.scenes[number]
+        origin = scene.origin
+        return Replay(
+            title=self.name if len(self.scenes) == 1 else f"{self.name}, scene {number}",
+            objects=scene.objects,
+            names=scene.names,
+            support=scene.support,
+            region=scene.region or scene.support.region,
+            poses=scene.poses.astype(np.float32),
+            is_placed=np.ones(len(scene.names), bool),
+            is_success=origin.is_success is not False,
+            verdict=origin.verdict or "not judged",
+            drift=origin.drift or 0.0,
+            seat=scene.seat,
+        )
 
     def replay(self, number: int, num_proposals: int = 0) -> Replay:
-        """Refused: a scene file does not tell how it was made (BankError)."""
+        """Refused: such a scene does not tell how it was made (BankError)."""
         raise BankError(
-            f"{self.name}: a scene file does not tell how it was made",
+            f"{self.name}: {self._is_a} does not tell how it was made",
             "a scene of a bank, BANK:INDEX or BANK/scenes/NUMBER.xml",
         )
 
     def sample(self, method: str, seed: int, num_proposals: int = 0) -> Replay:
         """See `replay`."""
         return self.replay(seed)
+
+
+class FileSource(ScenesSource):
+    """One scene from an MJCF file that is no part of a bank.
+
+    Attributes:
+      notes: what its picture leaves out.
+
+    Raises:
+      AssetError: MuJoCo cannot read it.
+    """
+
+    _is_a = "a scene file"
+
+    def __init__(self, path: Path) -> None:
+        scene, self.notes = read_mjcf_scene_with_notes(path)
+        super().__init__(path.stem, {0: scene})
 
 
 _MOST = 2**31 - 1
@@ -223,20 +247,30 @@ class LiveSource:
 
 
 def open_source(
-    text: str | None, config: LiveConfig | None = None
+    given: str | Bank | Scene | Sequence[Scene] | None, config: LiveConfig | None = None
 ) -> tuple[SceneSource, int | None]:
-    """What an argument names, and the scene that it asks for.
+    """What an argument names or is, and the scene that it asks for.
 
     Args:
-      text: BANK, BANK:INDEX, BANK/scenes/NUMBER.xml, another MJCF file, a checkpoint's folder or its run's;
-        None for live sampling alone.
+      given: BANK, BANK:INDEX, BANK/scenes/NUMBER.xml, another MJCF file, a checkpoint's folder or its run's;
+        a bank; a scene, or several; None for live sampling alone.
 
     Raises:
       PoolError: there is nothing of the kind.
+      ConfigError: it is of no such kind, or there are no scenes.
     """
     config = config or LiveConfig()
-    if text is None:
+    if given is None:
         return LiveSource(config), None
+    if isinstance(given, Bank):
+        return BankSource(given.path), None
+    if isinstance(given, Scene):
+        origin = given.origin
+        name = f"{origin.bank}-{origin.index:06d}" if origin.bank else origin.pool or "scene"
+        return ScenesSource(name, {origin.index: given}), origin.index
+    if not isinstance(given, str):
+        return ScenesSource("scenes", dict(enumerate(_checked_scenes(given)))), None
+    text = given
     path = Path(text)
     named = parse_reference(text)
     if named is None:
@@ -254,3 +288,19 @@ def open_source(
         "BANK, BANK:INDEX, an MJCF file, or the folder of a checkpoint",
         "cluttergen generate --out out, then the same command with out",
     )
+
+
+def _checked_scenes(given: Any) -> list[Scene]:
+    """Scenes that were given as values (ConfigError: they are none)."""
+    allowed = "a bank, a `Scene`, several, or a text that names one"
+    if hasattr(given, "is_success"):
+        hint = "`sampler.scene(sampled)`, which makes a `Scene` of what a sampler drew"
+        raise ConfigError(f"scenes of {type(given).__name__}", allowed, hint)
+    if not isinstance(given, Iterable):
+        raise ConfigError(f"scenes of {type(given).__name__}", allowed)
+    scenes = list(given)
+    if wrong := [each for each in scenes if not isinstance(each, Scene)]:
+        raise ConfigError(f"a {type(wrong[0]).__name__} among scenes", allowed)
+    if not scenes:
+        raise ConfigError("no scenes", allowed)
+    return scenes

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,12 +28,17 @@ from cluttergen_jax.rendering.viewer.viewer import (
     open_server,
     show_native,
 )
+from cluttergen_jax.scene import Bank, Scene
 
 if TYPE_CHECKING:
     from cluttergen_jax.rendering.viewer.guard import GuardedServer
 
 
-def view_native(source: str | None, live: LiveConfig, show: Callable[[str], None]) -> None:
+Source = str | Bank | Scene | Sequence[Scene] | None
+"""What `open_source` takes."""
+
+
+def view_native(source: Source, live: LiveConfig, show: Callable[[str], None]) -> None:
     """A scene in MuJoCo's own viewer, until its window is closed; see `cluttergen_jax.view`."""
     check_display()
     scenes, own = open_source(source, live)
@@ -43,7 +48,7 @@ def view_native(source: str | None, live: LiveConfig, show: Callable[[str], None
 
 
 def view_web(
-    source: str | None,
+    source: Source,
     live: LiveConfig,
     host: str,
     port: int,
@@ -52,17 +57,53 @@ def view_web(
     show: Callable[[str], None],
 ) -> None:
     """Scenes in a browser, until Ctrl-C; see `cluttergen_jax.view`."""
+    viewer = _viewer_of(source, live, host, port, screenshots, show)
+    try:
+        _serve(viewer.server, browser, show, viewer.source.notice())
+    finally:
+        viewer.close()
+
+
+def open_viewer(
+    source: Source,
+    live: LiveConfig,
+    host: str,
+    port: int,
+    browser: bool,
+    screenshots: Path,
+    show: Callable[[str], None],
+) -> Viewer:
+    """The same without waiting: the viewer runs until it is closed."""
+    viewer = _viewer_of(source, live, host, port, screenshots, show)
+    try:
+        announce(viewer.server, browser, show, viewer.source.notice(), "close() ends it")
+    except BaseException:
+        viewer.close()
+        raise
+    return viewer
+
+
+def _viewer_of(
+    source: Source,
+    live: LiveConfig,
+    host: str,
+    port: int,
+    screenshots: Path,
+    show: Callable[[str], None],
+) -> Viewer:
     # What cannot work is said before anything is compiled.
     free_port(host, port)
-    show(f"opening    {source or 'scenes made on the spot'}")
+    show(f"opening    {'scenes made on the spot' if source is None else _text_of(source)}")
     scenes, own = open_source(source, live)
     first = _first(scenes, own)
     server = open_server(host, port, f"cluttergen: {scenes.name}")
-    viewer = Viewer(scenes, server, first, screenshots)
-    try:
-        _serve(server, browser, show, scenes.notice())
-    finally:
-        viewer.close()
+    return Viewer(scenes, server, first, screenshots)
+
+
+def _text_of(source: Source) -> str:
+    if isinstance(source, Bank):
+        return str(source.path)
+    return str(source) if isinstance(source, str | Scene) else "scenes"
 
 
 def place_web(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import html
 import io
 import itertools
 import os
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
 _FRAMES_PER_SECOND = 20
 _SECONDS_PER_ATTEMPT = 0.8
 _PROPOSALS = 512
+_FRAME_HEIGHT = 480
+"""Pixels of the viewer in a notebook."""
 
 
 @dataclass(frozen=True)
@@ -414,10 +417,14 @@ def open_server(host: str, port: int, title: str) -> GuardedServer:
 
 
 def announce(
-    server: GuardedServer, browser: bool, show: Callable[[str], None], notice: str = ""
+    server: GuardedServer,
+    browser: bool,
+    show: Callable[[str], None],
+    notice: str = "",
+    end: str = "Ctrl-C ends it",
 ) -> None:
-    """Says where a server is, and opens a browser if wanted."""
-    show(f"viewer     {server.url} (Ctrl-C ends it)")
+    """Says where a server is and what ends it, and opens a browser if wanted."""
+    show(f"viewer     {server.url} ({end})")
     if elsewhere := server.url_elsewhere:
         show(f"elsewhere  {elsewhere}")
     if notice:
@@ -428,6 +435,9 @@ def announce(
 
 class Viewer:
     """Shows a source's scenes to whatever browsers come, until `close`.
+
+    In a notebook it is shown below the cell, where the browser reaches this machine as localhost. A context
+    manager, which closes it.
 
     Args:
       source: the scenes.
@@ -440,11 +450,12 @@ class Viewer:
     """
 
     def __init__(
-        self, source: SceneSource, server: viser.ViserServer, first: int, folder: Path
+        self, source: SceneSource, server: GuardedServer, first: int, folder: Path
     ) -> None:
         self.source = source
         self.server = server
         self.sessions: dict[int, Session] = {}
+        self._is_closed = False
         self._lock = threading.Lock()
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="scenes")
         self._session_config = SessionConfig(source, source.methods, first, folder, self._worker)
@@ -454,9 +465,35 @@ class Viewer:
         server.on_client_disconnect(self._leave)
         server.on_client_connect(self._enter)
 
+    @property
+    def url(self) -> str:
+        """The address, with its token, for a browser on this machine."""
+        return self.server.url
+
+    def __enter__(self) -> Viewer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"Viewer({self.source.name!r}, {'closed' if self._is_closed else self.url})"
+
+    def _repr_html_(self) -> str:
+        if self._is_closed:
+            return html.escape(repr(self))
+        url = html.escape(self.url)
+        frame = (
+            f'<iframe src="{url}" width="100%" height="{_FRAME_HEIGHT}" style="border: 0"></iframe>'
+        )
+        return f'{frame}<br><a href="{url}" target="_blank">{url}</a>'
+
     def close(self) -> None:
-        """Stops what is under way and the server."""
+        """Stops what is under way and the server; of a closed viewer, nothing."""
         with self._lock:
+            if self._is_closed:
+                return
+            self._is_closed = True
             sessions = list(self.sessions.values())
         for session in sessions:
             session.close()

@@ -14,12 +14,14 @@ A block is written as a whole or not at all, so an interrupted bank is continued
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+import operator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from itertools import groupby
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import pyarrow as pa
@@ -28,13 +30,17 @@ import pyarrow.compute as pc
 from cluttergen_jax.assets.doors import with_joints_at
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash, read_object
-from cluttergen_jax.assets.support import SupportAsset
+from cluttergen_jax.assets.pool import public_name
+from cluttergen_jax.assets.support import Rectangle, SupportAsset, recorded_rectangle
 from cluttergen_jax.assets.support_file import read_support, support_hash
 from cluttergen_jax.bank_reader import RowDigests
 from cluttergen_jax.config import ContactConfig, StabilityConfig
-from cluttergen_jax.errors import BankError, PoolError
+from cluttergen_jax.display import display
+from cluttergen_jax.errors import BankError, ClutterGenError, PoolError, range_text
 from cluttergen_jax.files import check_utf8, inside, read_regular
+from cluttergen_jax.placement.relations import SIDES, parse_relations
 from cluttergen_jax.placement.scenes import BLOCK_SIZE
+from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.blocks import StoredBlocks, record_in
 from cluttergen_jax.scene.bank.record import (
     AGAIN,
@@ -47,18 +53,96 @@ from cluttergen_jax.scene.bank.record import (
     config_of,
     fault_of,
     parse_record,
+    record_error,
 )
 from cluttergen_jax.scene.bank.remote import bank_folder
 from cluttergen_jax.scene.bank.table import BankRow, rows_of, schema_of
+from cluttergen_jax.scene.scene import Origin, Scene
 from cluttergen_jax.spec import SceneSpec
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 
 @dataclass(frozen=True, eq=False)
 class Bank:
-    """A bank that is read. `record` is what `bank.json` holds."""
+    """A bank that is read: a sequence of its scenes, failures included. `record` is what `bank.json` holds.
+
+        bank = cg.read_bank("out")
+        bank[3].picture()                                      # scene 3, as `BANK:3` names it elsewhere
+        stable = [scene for scene in bank if scene.origin.is_success]
+
+    In a notebook it is shown as a summary with pictures.
+    """
 
     path: Path
     record: Record
+
+    def __len__(self) -> int:
+        """How many scenes it was asked for; an interrupted bank does not have all of them yet."""
+        return self.num_scenes
+
+    @overload
+    def __getitem__(self, number: int) -> Scene: ...
+    @overload
+    def __getitem__(self, number: slice) -> list[Scene]: ...
+    def __getitem__(self, number: int | slice) -> Scene | list[Scene]:
+        """Scene `number`, -1 for the last, be it a success (`Scene.origin`) or not; several by a slice.
+
+        Raises:
+          BankError: there is no such scene, or not yet, or one of its files is damaged.
+          TypeError: the number is none.
+        """
+        if isinstance(number, slice):
+            return list(self._read(range(len(self))[number]))
+        place = operator.index(number)
+        if not -len(self) <= place < len(self):
+            raise BankError(
+                f"{self.path} has no scene {place}",
+                f"{range_text(0, len(self) - 1)}, or -1 for the last",
+            )
+        (scene,) = self._read([place % len(self)])
+        return scene
+
+    def __iter__(self) -> Iterator[Scene]:
+        """Each scene, by number. `read_scenes(bank)` has those that succeeded alone."""
+        return self._read(range(len(self)))
+
+    def _read(self, numbers: Sequence[int]) -> Iterator[Scene]:
+        asset_of = lru_cache(maxsize=None)(self.object)
+        for first in range(0, len(numbers), BLOCK_SIZE):
+            part = numbers[first : first + BLOCK_SIZE]
+            rows = self.rows(part)
+            for number in part:
+                if number not in rows:
+                    raise BankError(
+                        f"{self.path}: scene {number} is not there yet, as the bank is not finished",
+                        hint="the `generate` call that made it, which continues it",
+                    )
+                yield self.scene_of(rows[number], asset_of)
+
+    def sheet(self, **options: Any) -> Image.Image:
+        """Draws scenes on one contact sheet, as `cluttergen_jax.render` does: the first 12 that succeeded.
+
+            bank.sheet(scenes="0-7", columns=4, quality="draft").save("sheet.png")
+
+        Args:
+          options: what `render` takes of a sheet: scenes, columns, size of a picture, view, whole, hulls,
+            doors, quality, samples and others.
+
+        Raises:
+          BankError: none of its scenes succeeded, or there is no such scene.
+          ConfigError: a setting is out of range, or `render` takes it for something else than a sheet.
+          RendererError: nothing can be drawn on this machine.
+        """
+        return display().sheet_of(self, options)
+
+    def show(self, **options: Any) -> Any:
+        """Shows its scenes in the viewer; see `Scene.show`."""
+        return display().show(self, options)
+
+    def _repr_html_(self) -> str:
+        return display().html_of(self)
 
     def __repr__(self) -> str:
         names = ("pool", "method", "seed")
@@ -96,6 +180,31 @@ class Bank:
         """At which side of the region someone sits; "" where its scenes were not asked to be natural."""
         rules = self.recipe.get("placement") or {}
         return str(rules.get("seat", "-y")) if rules.get("natural") else ""
+
+    @cached_property
+    def region(self) -> Rectangle | None:
+        """In which its objects were asked to be; None in banks that do not say it.
+
+        Raises:
+          BankError: its record is damaged.
+        """
+        with self._sound_record():
+            region = self.recipe.get("region")
+            return recorded_rectangle(region) if region else None
+
+    @cached_property
+    def has_sides(self) -> bool:
+        """Whether relations asked for left, right, front or back; raises as `region`."""
+        with self._sound_record():
+            relations = (self.recipe.get("placement") or {}).get("relations", ())
+            return any(each.kind in SIDES for each in parse_relations(relations))
+
+    @contextmanager
+    def _sound_record(self) -> Iterator[None]:
+        try:
+            yield
+        except (AttributeError, ClutterGenError, KeyError, TypeError, ValueError) as error:
+            raise record_error(self.path, error) from error
 
     @cached_property
     def stability(self) -> StabilityConfig:
@@ -182,6 +291,43 @@ class Bank:
                 kept = table.take(pa.array(held, pa.int64()))
                 found.update({row.index: row for row in rows_of(kept)})
         return found
+
+    def scene_of(self, row: BankRow, asset_of: Callable[[str], ObjectAsset] | None = None) -> Scene:
+        """A row as a scene.
+
+        Args:
+          asset_of: reads an object by name; `object` if None.
+
+        Raises:
+          BankError: an asset or the record is damaged.
+        """
+        recipe = self.recipe
+        checkpoint = recipe.get("checkpoint")
+        asset_of = asset_of or self.object
+        return Scene(
+            names=row.objects,
+            objects=tuple(asset_of(base_name(name)) for name in row.objects),
+            poses=row.poses,
+            support=self.support_of(row),
+            stability=self.stability,
+            contact=self.contact,
+            origin=Origin(
+                bank=self.path.resolve().name,
+                index=row.index,
+                pool=public_name(recipe.get("pool", "")),
+                method=recipe.get("method", ""),
+                # The name alone: a path would tell where its owner keeps files.
+                checkpoint=None if checkpoint is None else Path(checkpoint).name,
+                seed=recipe.get("seed"),
+                verdict=row.verdict,
+                drift=row.drift,
+                is_success=bool(row.is_success),
+                versions=recipe.get("versions", {}),
+            ),
+            region=self.region,
+            seat=self.seat,
+            has_sides=self.has_sides,
+        )
 
     @cached_property
     def object_names(self) -> tuple[str, ...]:

@@ -11,13 +11,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from cluttergen_jax.assets.object import ObjectAsset
-from cluttergen_jax.assets.pool import public_name
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.problem import Standing
 from cluttergen_jax.placement.world import base_name
-from cluttergen_jax.scene import Origin, Scene
+from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.bank.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.record import INDEX, record_error
 from cluttergen_jax.scene.bank.remote import bank_folder, is_url
@@ -167,33 +165,7 @@ def read_scenes(bank: Bank, indices: Sequence[int] | None = None) -> Iterator[Sc
     rows = select_rows(bank, indices)
     asset_of = lru_cache(maxsize=None)(bank.object)
     for row in rows:
-        yield _scene(bank, row, [asset_of(base_name(name)) for name in row.objects])
-
-
-def _scene(bank: Bank, row: BankRow, objects: Sequence[ObjectAsset]) -> Scene:
-    recipe = bank.recipe
-    checkpoint = recipe.get("checkpoint")
-    return Scene(
-        names=row.objects,
-        objects=tuple(objects),
-        poses=row.poses,
-        support=bank.support_of(row),
-        stability=bank.stability,
-        contact=bank.contact,
-        origin=Origin(
-            bank=bank.path.resolve().name,
-            index=row.index,
-            pool=public_name(recipe.get("pool", "")),
-            method=recipe.get("method", ""),
-            # The name alone: a path would tell where its owner keeps files.
-            checkpoint=None if checkpoint is None else Path(checkpoint).name,
-            seed=recipe.get("seed"),
-            verdict=row.verdict,
-            drift=row.drift,
-            is_success=bool(row.is_success),
-            versions=recipe.get("versions", {}),
-        ),
-    )
+        yield bank.scene_of(row, asset_of)
 
 
 def region_of(bank: Bank) -> Rectangle:
