@@ -56,7 +56,7 @@ def test_rougher_is_duller_and_metal_is_brighter():
     # What a map makes rough is as dull as what a number makes so.
     mapped = Finish(1.0, 1.0, orm=ORM)
     mean = mapped.without_maps
-    assert (mean.roughness, mean.metallic) == pytest.approx((0.5, 0.8), abs=2e-3)
+    assert (mean.roughness, mean.metallic) == pytest.approx((0.5, 0.8), abs=3e-3)
     assert mean.images == ()
     assert mapped.specular == mapped.without_maps.specular
 
