@@ -82,7 +82,7 @@ class Finish:
         return StoredFinish(
             float(self.roughness),
             float(self.metallic),
-            float(self.transmission),
+            float(self.transmission) or None,
             None if self.normal is None else self.normal.digest,
             None if self.orm is None else self.orm.digest,
             None if self.orm is None else (mean.roughness, mean.metallic),
@@ -97,13 +97,13 @@ class StoredFinish(msgspec.Struct, omit_defaults=True):
     """A finish as records hold it.
 
     Attributes:
-      normal, orm: SHA-256 of the maps' files.
+      transmission: None for 0; normal, orm: SHA-256 of the maps' files.
       mean: roughness and metallic times the means of `orm`, for readers that decode no images.
     """
 
     roughness: _Share
     metallic: _Share
-    transmission: _Share = 0.0
+    transmission: _Share | None = None
     normal: _Digest | None = None
     orm: _Digest | None = None
     mean: tuple[_Share, _Share] | None = None
@@ -113,7 +113,7 @@ class StoredFinish(msgspec.Struct, omit_defaults=True):
         return Finish(
             self.roughness,
             self.metallic,
-            self.transmission,
+            self.transmission or 0.0,
             None if self.normal is None else image_of(self.normal),
             None if self.orm is None else image_of(self.orm),
         )
