@@ -1,4 +1,4 @@
-"""Makes the pictures of docs/guide/pictures.md: python docs/make_photos.py [FOLDER] (some twenty minutes on two cores).
+"""Makes the pictures of docs/guide/pictures.md: python docs/make_photos.py [FOLDER] (ten minutes).
 
 Banks are made in FOLDER (out/photos), unless they are there. Needs the extra `photo`.
 """

@@ -224,6 +224,7 @@ def make_dataset(
     num_scenes: int | None = None,
     vary: Sequence[Variation] = (),
     quality: Quality = "draft",
+    look: str | Path = "plain",
     colour: bool = True,
     seed: int = 0,
     cluster: str | None = None,
@@ -249,8 +250,11 @@ def make_dataset(
       num_scenes: the first so many of each bank; all if not given.
       vary: what is drawn anew for each view: "texture" of the table, from other ones for each split; "light";
         "colour" of objects and floor.
-      quality: "draft" has sharp shadows; "fine" soft ones, for some five times the time.
-      colour: draw colours, which needs OpenGL; all else needs none.
+      quality: "draft" has sharp shadows; "fine" soft ones, for some ten times the time; "photo" traces paths
+        of light (extra `photo`), for some hundred times the time.
+      look: how scenes are furnished and lit: a name, "random" for any, or a YAML file
+        (docs/guide/pictures.md). Where a look leaves something open, it is drawn for each scene.
+      colour: draw colours, which needs OpenGL, or for photos none; all else needs none.
       seed: of cameras, splits and what varies, 0 to 4294967295.
       cluster: where it is made: "local", Ray on this machine; "auto", the Ray cluster that this machine
         belongs to; or a cluster's address (extra `ray`); none with "bop". All machines have to see banks and
@@ -268,6 +272,8 @@ def make_dataset(
     """
     from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.rendering.gl import find_backend
+    from cluttergen_jax.rendering.look import find_look
+    from cluttergen_jax.rendering.photo import check_photo
     from cluttergen_jax.rendering.renderer import check_size
     from cluttergen_jax.scene.bank import Bank, bank_folder
     from cluttergen_jax.sensing import parse_cameras
@@ -291,7 +297,16 @@ def make_dataset(
     seen_by = parse_cameras(cameras, pixels)
     for each in seen_by:
         check_size(*each.size, 1)
-    if colour:
+    find_look(look)
+    if colour and quality == "photo":
+        check_photo(PhotoConfig())
+        if "light" in vary:
+            raise ConfigError(
+                "vary 'light' with quality 'photo', whose light is the look's",
+                "texture and colour",
+                "look='random'",
+            )
+    elif colour:
         find_backend()
     elif vary:
         raise ConfigError(f"vary = {tuple(vary)} without colours", "colours", "colour=True")
@@ -318,7 +333,7 @@ def make_dataset(
             told, "each bank once, and no two folders of one name", "another name of a folder"
         )
     place = cluster_of(cluster, workers)
-    config = ViewConfig(seen_by, seed, tuple(vary), quality, colour)
+    config = ViewConfig(seen_by, seed, tuple(vary), quality, colour, str(look))
     return make(folders, parse_splits(splits), num_scenes, config, Path(out), form, place)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.rendering.surfaces import KINDS
-from cluttergen_jax.schema import SchemaError, convert, parse_yaml, read_written
+from cluttergen_jax.schema import SchemaError, convert, digest_of, parse_yaml, read_written
 
 LOOKS = Path(__file__).with_name("looks")
 FORMAT = 1
@@ -143,6 +143,17 @@ def find_look(name_or_path: str | Path, seed: int = 0) -> Look | None:
             hint=closest(name, looks),
         )
     return read_look(path, rng)
+
+
+def look_record(name_or_path: str | Path) -> dict[str, str]:
+    """What a record says of a look: its name, and a digest of its file; nothing of "plain"."""
+    name = str(name_or_path)
+    if name == PLAIN:
+        return {}
+    looks = embedded_looks()
+    files = list(looks.values()) if name == RANDOM else [looks.get(name, Path(name))]
+    text = b"".join(path.read_bytes() for path in files)
+    return {"look": Path(name).name, "look_digest": digest_of(text)}
 
 
 def read_look(path: Path, rng: np.random.Generator) -> Look:

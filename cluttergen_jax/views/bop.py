@@ -36,6 +36,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import folder_whole, remove_partial, write_atomically
 from cluttergen_jax.geometry import rotation_matrix
 from cluttergen_jax.kept_folder import FolderLock
+from cluttergen_jax.rendering.look import PLAIN, find_look, look_record
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.rendering.variation import TEXTURES_OF
 from cluttergen_jax.schema import SchemaError, convert, parse_json
@@ -67,6 +68,7 @@ class BopConfig:
       pixel_origin: see `BopDataset`.
       cameras: those that look at each scene; None for `views` of them at places that are drawn.
       vary: what is drawn anew for each view (`config.Variation`).
+      look: the name or file of a look, of which what it leaves open is drawn for each scene.
     """
 
     views: int = 4
@@ -75,6 +77,7 @@ class BopConfig:
     pixel_origin: PixelOrigin = "center"
     cameras: tuple[CameraPlan, ...] | None = None
     vary: tuple[Variation, ...] = ()
+    look: str = PLAIN
 
 
 class BopScenes:
@@ -154,7 +157,8 @@ class BopScenes:
         # A scene's light and shadows are its own, so that it looks alike whatever else is added.
         config = self._config
         with ViewMaker(self._picture, is_drawn=self._is_drawn, vary=config.vary) as maker:
-            maker.place(scene.objects, scene.poses, scene.support)
+            look = find_look(config.look, config.seed + scene.number)
+            maker.place(scene.objects, scene.poses, scene.support, look=look)
             views = self._views(maker, scene)
             return [self._dataset.add(place.number, scene, views, origin)]
 
@@ -202,6 +206,9 @@ class BopScenes:
             settings["cameras"] = f"{names} ({plans[:8]})"
         if config.vary:
             settings["vary"] = ", ".join(sorted(config.vary))
+        settings |= look_record(config.look)
+        if picture.photo is not None:
+            settings["quality"] = "photo"
         return SceneOrigin(self._source, scene.number, digest, settings, self._is_drawn)
 
     def _check_camera(self) -> None:

@@ -21,7 +21,7 @@ from cluttergen_jax.files import remove_partial, writing
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.progress import Progress, track
 from cluttergen_jax.rendering.config import QUALITIES, PhotoConfig, Quality
-from cluttergen_jax.rendering.look import PLAIN, Look, find_look
+from cluttergen_jax.rendering.look import PLAIN, Look, find_look, look_record
 from cluttergen_jax.rendering.scene_renderer import PictureConfig
 from cluttergen_jax.rendering.variation import TEXTURES_OF
 from cluttergen_jax.scene.bank import Bank, read_bank, read_scenes, region_of, select_rows
@@ -271,7 +271,7 @@ class DatasetPlan:
             "colour": config.colour,
             # Versions before averaged fewer pictures.
             **({"samples": QUALITIES[config.quality].samples} if config.quality != "draft" else {}),
-            **({"look": config.look} if config.look != PLAIN else {}),
+            **look_record(config.look),
             "scenes_per_shard": SCENES_PER_SHARD,
             **_shares_record(self.shares, self.shares_are),
         }
@@ -576,7 +576,11 @@ def _make_bop(plan: DatasetPlan, out: Path) -> None:
             if not chosen:
                 continue
             asked = BopConfig(
-                seed=config.seed, split=split, cameras=config.cameras, vary=config.vary
+                seed=config.seed,
+                split=split,
+                cameras=config.cameras,
+                vary=config.vary,
+                look=config.look,
             )
             name = bank.path.resolve().name
             with BopScenes(out, name, asked, config.picture(), config.colour) as dataset:

@@ -77,7 +77,7 @@ def test_a_file_that_is_no_look_is_refused_with_what_is_wrong(tmp_path, text, sa
 
 
 def test_an_unknown_look_names_those_that_there_are(tmp_path, capsys):
-    with pytest.raises(ConfigError, match="kitchen_day.*random, plain") as caught:
+    with pytest.raises(ConfigError, match=r"kitchen_day.*random, plain") as caught:
         find_look("kitchen_dya")
     assert "kitchen_day" in caught.value.hint
     with pytest.raises(ConfigError, match="No such file"):

@@ -1,4 +1,4 @@
-"""Photos: the same cameras and outlines as OpenGL's pictures, glass that is seen through, and clear errors."""
+"""Photos: cameras and outlines as OpenGL's pictures have them, clear glass, and clear errors."""
 
 import numpy as np
 import pytest

@@ -167,6 +167,9 @@ class Rendering:
         """Whether there is an OpenGL, and what to say without; RendererError where a drawing is asked for."""
         if self.products == {"points"}:
             return False, ()
+        if self.quality == "photo" and not self._makes("bop"):
+            # Path tracing needs no OpenGL.
+            return True, ()
         try:
             find_backend()
         except RendererError as error:
@@ -303,8 +306,7 @@ class Rendering:
         camera: Camera | None,
     ) -> Iterator[Path]:
         scene = _seen_scene(recording, 0)
-        # Colours of a photo are its own file: here they come from OpenGL.
-        with ViewMaker(replace(picture, photo=None), is_drawn=is_drawn) as maker:
+        with ViewMaker(picture, is_drawn=is_drawn) as maker:
             maker.place(scene.objects, scene.poses, scene.support)
             view = maker.see(camera)
         stem = path.with_name(path.name.removesuffix("-sensors.npz"))
