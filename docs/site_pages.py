@@ -165,18 +165,24 @@ def _commands() -> str:
 
 def _command(name: str, text: str) -> str:
     """A command's help in Markdown: usage, what it does, and its arguments."""
-    intro, *boxes = re.split(r"\n *[a-z][a-z ]*\n *-{10,} *\n", text)
+    intro, *boxes = re.split(r"\n *([a-z][a-z -]*)\n *-{10,} *\n", text)
     usage, _, about = intro.partition("\n\n")
     parts = [f"```text\n{usage.removeprefix('usage: ').strip()}\n```", escaped(about.strip())]
-    # An argument begins its line after two spaces; what is said of it may go on below, further in.
-    for place, entry in enumerate(
-        re.findall(r"^  \S.*(?:\n {3,}\S.*)*", "\n".join(boxes), re.MULTILINE), 1
-    ):
-        written, *rest = re.split(r"(?<=\S) {2,}|\n", entry.strip(), maxsplit=1)
-        flags = re.findall(r"(?<![\w-])--[a-z][\w-]*", written) or [f"--argument-{place}"]
-        if rest and "--help" not in flags:
-            anchor = f"{name} {flags[0][2:]}".replace(" ", "-")
-            parts.append(_option(anchor, written, " ".join(rest[0].split())))
+    place = 0
+    for title, box in zip(boxes[::2], boxes[1::2], strict=True):
+        options = []
+        # An argument begins its line after two spaces; what is said of it may go on below, further in.
+        for entry in re.findall(r"^  \S.*(?:\n {3,}\S.*)*", box, re.MULTILINE):
+            place += 1
+            written, *rest = re.split(r"(?<=\S) {2,}|\n", entry.strip(), maxsplit=1)
+            flags = re.findall(r"(?<![\w-])--[a-z][\w-]*", written) or [f"--argument-{place}"]
+            if rest and "--help" not in flags:
+                anchor = f"{name} {flags[0][2:]}".replace(" ", "-")
+                options.append(_option(anchor, written, " ".join(rest[0].split())))
+        if options and title.strip().endswith(" options"):
+            group = title.strip().removesuffix(" options").replace("-", " ")
+            parts.append(f"**{group.capitalize()}**")
+        parts += options
     return "\n\n".join(parts)
 
 

@@ -13,7 +13,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.kept_folder import hold_file
 from cluttergen_jax.numerics import with_kept_programs
 from cluttergen_jax.placement.methods.table import TARGETS
-from cluttergen_jax.spec import SceneOptions, SceneSpec, spec_of, takes_spec
+from cluttergen_jax.spec import SceneOptions, SceneSpec, in_groups, spec_of, takes_spec
 
 if TYPE_CHECKING:
     from cluttergen_jax.generation.generate import GeneratedBank
@@ -45,6 +45,12 @@ _NOT_BY_HAND = {
 
 @with_kept_programs
 @takes_spec()
+@in_groups(
+    what="layout",
+    how_many="num_scenes seed",
+    files="out render max_files overwrite allow_other_bits",
+    machine="cluster workers",
+)
 def generate(
     out: str | Path = "out",
     spec: SceneSpec | str | Path | None = None,
@@ -175,6 +181,7 @@ def repair(
 
 @with_kept_programs
 @takes_spec(_NOT_BY_HAND)
+@in_groups(how_many="seed", files="out overwrite", machine="host port browser")
 def place_by_hand(
     out: str | Path = "out/hand",
     *,

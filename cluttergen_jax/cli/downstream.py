@@ -74,6 +74,7 @@ def find_grasps(options: Options) -> None:
     robot=str,
     placer=str,
     grasps=str | None,
+    everyday="task robot placer num_episodes pool num_objects support method record films seed out",
 )
 def move_objects(options: Options) -> None:
     """Let a simulated robot arm put objects into scenes, or lift them out of them (extra `robot`).
@@ -108,6 +109,7 @@ run_robot = Group(
     grasps=str | None,
     target=str | None,
     robot=str,
+    everyday="setting num_episodes pool robot support observer choose pick record films seed out",
 )
 def run_rearrange(options: Options) -> None:
     """Let a simulated robot arm rearrange the objects of scenes (extra `robot`).

@@ -96,7 +96,7 @@ def test_python_and_the_command_line_name_what_each_of_them_knows(tmp_path, monk
         (
             lambda: cluttergen_jax.generate(num_threads=-1),
             "num_threads = -1",
-            ["generate", "--threads", "-1"],
+            ["generate", "--num-threads", "-1"],
         ),
         (lambda: cluttergen_jax.generate(num_scenes=0), "num_scenes = 0", ["generate", "-n", "0"]),
         (
@@ -116,7 +116,7 @@ def test_python_and_the_command_line_name_what_each_of_them_knows(tmp_path, monk
         ),
     ]
     flags = [
-        "--threads -1",
+        "--num-threads -1",
         "--num-scenes 0",
         "--jobs -1",
         "--memory-limit -1.0",
