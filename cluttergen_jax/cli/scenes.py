@@ -140,12 +140,12 @@ def run_stats(
       json: print JSON.
     """
     from cluttergen_jax.kept_folder import hold_folder
-    from cluttergen_jax.scene.bank import CARD, read_bank, stats_of, stats_text, write_card
+    from cluttergen_jax.scene.bank import CARD, read_bank, stats_of, write_card
 
     bank = read_bank(path)
     stats = stats_of(bank)
     record = stats.as_json()
-    text = stats_text(bank, stats)
+    text = str(stats)
     if sense:
         found = _sense_of(bank)
         record["sense"] = found.record()

@@ -37,7 +37,7 @@ def groups_in_help(name, capsys, monkeypatch, columns="80"):
     ]
     return {
         title.removesuffix(" options"): re.findall(
-            r"^\W{,3}(?:-\w.*, )?--([a-z][\w-]*)", body, re.M
+            r"^[^\w-]{,3}(?:-\w [A-Z]+, )?--([a-z][\w-]*)", body, re.M
         )
         for title, body in zip(titles, parts[3::3], strict=True)
     }
