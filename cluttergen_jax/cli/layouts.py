@@ -56,7 +56,7 @@ def find_errors(options: Options) -> int:
     clutter=str | None,
     needed=("request", "model"),
     left_out=("layout", *ask_layout.spec_refused),  # type: ignore[attr-defined]
-    everyday="model pool num_objects support num_scenes seed render out",
+    everyday="model pool support region num_scenes seed render out",
 )
 def ask(options: Options) -> None:
     """Have a language model write a layout for a sentence, check it, and make scenes of it.

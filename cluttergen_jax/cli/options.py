@@ -163,6 +163,8 @@ class Command:
                 settings.append(field)
             else:
                 groups[group_of.get(field.name, "how")].append(field)
+        if len(groups["everyday"]) != len(everyday):
+            raise TypeError(f"{self.run.__name__}: no such option, or no plain one, in {everyday}")
         groups["everyday"].sort(key=lambda field: everyday.index(field.name))
         parts = {name: _part(name, fields) for name, fields in groups.items() if fields}
 

@@ -64,7 +64,7 @@ def test_a_long_help_has_groups_in_their_order(name, capsys, monkeypatch):
     # Each option is in one group.
     shown = [flag for flags in found.values() for flag in flags]
     assert sorted(shown) == sorted({*shown})
-    assert len(shown) == len(OPTIONS[name]) + len(["help"])
+    assert len(shown) == len(OPTIONS[name])
 
 
 @pytest.mark.parametrize("name", COMMANDS)

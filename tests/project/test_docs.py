@@ -10,6 +10,7 @@ import subprocess
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -23,6 +24,12 @@ TEXTS = [ROOT / "README.md", ROOT / "AGENTS.md", *GUIDES]
 PACKAGES = re.findall(r"reference/python/(\w+)\.md", (ROOT / "mkdocs.yml").read_text())
 OPTIONS = json.loads((ROOT / "tests" / "cli" / "options.json").read_text())
 SUITE_OPTIONS = json.loads((ROOT / "tests" / "studies" / "options.json").read_text())
+
+
+def parts(name):
+    """The names in a module that is a public name of the package; None for any other."""
+    found = getattr(cg, name)
+    return found.__all__ if isinstance(found, ModuleType) else [None]
 
 
 def blocks(path, language):
@@ -47,6 +54,7 @@ def test_people_need_not_read_much():
 
 @pytest.mark.parametrize("path", TEXTS, ids=lambda path: path.stem)
 def test_code_of_a_page_names_what_there_is(path):
+    modules = {f"cg.{name}": parts(name) for name in cg.__all__ if parts(name) != [None]}
     for block in blocks(path, "python"):
         if block.startswith("class Physics(Protocol)"):
             continue
@@ -54,12 +62,12 @@ def test_code_of_a_page_names_what_there_is(path):
             if isinstance(node, ast.ImportFrom) and node.module.startswith("cluttergen_jax"):
                 module = importlib.import_module(node.module)
                 assert all(hasattr(module, name.name) for name in node.names), ast.unparse(node)
-            if (
-                isinstance(node, ast.Attribute)
-                and isinstance(node.value, ast.Name)
-                and node.value.id == "cg"
-            ):
-                assert node.attr in cg.__all__
+            if isinstance(node, ast.Attribute):
+                name = ast.unparse(node.value)
+                if name == "cg":
+                    assert node.attr in cg.__all__
+                elif name in modules:
+                    assert node.attr in modules[name]
 
 
 @pytest.mark.parametrize("path", TEXTS, ids=lambda path: path.stem)
@@ -92,10 +100,12 @@ def test_links_lead_to_pages_and_headings():
 
 def test_every_public_name_is_in_the_reference():
     documented = re.findall(
-        r"^::: cluttergen_jax\.(\w+)$", (DOCS / "reference" / "api.md").read_text(), re.M
+        r"^::: cluttergen_jax\.([\w.]+)$", (DOCS / "reference" / "api.md").read_text(), re.M
     )
     assert len(documented) == len(set(documented))
-    assert set(documented) == set(cg.__all__)
+    assert set(documented) == {
+        name if each is None else f"{name}.{each}" for name in cg.__all__ for each in parts(name)
+    }
 
 
 def test_every_page_of_the_menu_exists():

@@ -20,7 +20,6 @@ from cluttergen_jax.downstream.words import (
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
 from cluttergen_jax.numerics import with_own_settings
-from cluttergen_jax.spec import in_groups
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets import ObjectAsset, Rectangle
@@ -42,13 +41,6 @@ _MOST_LAYOUTS = 64
 
 
 @with_own_settings
-@in_groups(
-    what="setting pool goals",
-    where="support target cameras",
-    how_many="num_episodes num_layouts seed",
-    files="out show_layouts record record_format record_cameras films film",
-    machine="num_threads host port browser",
-)
 def rearrange(
     out: str | Path = "out/rearrange",
     bank: str | Path | None = None,

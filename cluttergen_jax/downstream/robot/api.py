@@ -13,7 +13,6 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_file, check_folder
 from cluttergen_jax.kept_folder import hold_file
 from cluttergen_jax.numerics import with_own_settings
-from cluttergen_jax.spec import in_groups
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets import Rectangle
@@ -104,13 +103,6 @@ def robot_grasps(
 
 
 @with_own_settings
-@in_groups(
-    what="task pool num_objects",
-    where="support region",
-    how_many="num_episodes seed",
-    files="out record record_format record_cameras films film",
-    machine="num_threads",
-)
 def robot_place(
     out: str | Path = "out/robot",
     bank: str | Path | None = None,
