@@ -203,13 +203,17 @@ def waiting(
 
     def tick() -> None:
         nonlocal last_line
+        now = clock()
         if not is_log:
             bar.refresh()
-        elif clock() - last_line >= EVERY:
-            last_line = clock()
+        elif now - last_line >= EVERY:
+            last_line = now
             write(f"{phase}: {passed_text(last_line - started)} passed")
 
     (say or write)(text)
+    # A log of both streams has it before the seconds.
+    if sys.stdout is not None:
+        sys.stdout.flush()
     ticker = _Ticker(tick)
     try:
         yield
@@ -255,7 +259,7 @@ def time_text(seconds: float) -> str:
 
 
 def passed_text(seconds: float) -> str:
-    """A length of time that goes on, with its seconds: one that is shown again differs from the one before."""
+    """A length of time that goes on, with its seconds: shown again, it differs from the one before."""
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes} min {rest} s" if 90 <= seconds < 5400 else time_text(seconds)
 
