@@ -40,6 +40,17 @@ PAGES = {
     for path in sorted((ROOT / "examples").glob("*.py"))
 }
 """Files of the repository outside docs, and the pages that they become."""
+BOOSTS = {
+    "reference/python/": 0.01,
+    "reports/": 0.1,
+    "changes.md": 0.1,
+    "benchmarks.md": 0.1,
+    "contributing.md": 0.1,
+    "reference/": 1.0,
+}
+"""By the beginning of a page's name, what its hits in the search are multiplied by; the first that fits."""
+_OF_READERS = 100.0
+"""The same of all other pages, which people read: a title counts 1000 times as much as a word of a text."""
 _LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)([^)\s#]+)(#[^)\s]*)?(?=\))")
 _WIDE = "300"
 """Columns of a terminal in which an option of a command and its type are on one line."""
@@ -107,6 +118,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Links of the repository become links of the site; the package map is drawn."""
     uri = page.file.src_uri
+    page.meta.setdefault("search", {"boost": boost_of(uri)})
     source = next((path for path, made in PAGES.items() if made == uri), f"docs/{uri}")
 
     def relinked(match: re.Match[str]) -> str:
@@ -121,6 +133,11 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
             r"(?<=## Package layout\n\n)(?: {4}.+\n)+", _package_map() + "\n", markdown
         )
     return markdown
+
+
+def boost_of(uri: str) -> float:
+    """What hits of the search in a page are multiplied by: guides come before references and records."""
+    return next((boost for start, boost in BOOSTS.items() if uri.startswith(start)), _OF_READERS)
 
 
 def _without_code_links(markdown: str, source: str) -> str:

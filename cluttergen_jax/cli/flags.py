@@ -84,7 +84,7 @@ def with_new_names(words: Sequence[str], known: Collection[str]) -> tuple[list[s
         flag, sign, value = word.partition("=")
         match = re.fullmatch(r"--(no-)?([a-z-]+)", flag)
         new = RENAMED.get(match[2].replace("-", "_")) if match else None
-        if match and new in known and match[2] not in known:
+        if match and new is not None and new in known and match[2] not in known:
             renamed = f"--{match[1] or ''}{_flag_name(new)}"
             notes.append(f"{flag} is now called {renamed}")
             flag = renamed

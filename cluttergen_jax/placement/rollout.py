@@ -497,12 +497,11 @@ class EpisodeRecorder:
         )
         if not (num_proposals and attempts):
             return made
-        shown = range(len(attempts))
-        if last_only:
-            first = made.last_turn(attempts[-1].object_index)[0]
-            shown = range(attempts.index(first), attempts.index(first) + 1)
         # Hundreds of proposals for each attempt take seconds.
-        for place in track(shown, "proposals", len(shown), "attempt"):
+        shown = track(range(len(attempts)), "proposals", len(attempts), "attempt")
+        if last_only:
+            shown = iter([attempts.index(made.last_turn(attempts[-1].object_index)[0])])
+        for place in shown:
             proposals = self._proposals(steps[place][0], seed, num_proposals)
             attempts[place] = replace(attempts[place], proposals=proposals)
         return replace(made, attempts=tuple(attempts))
