@@ -76,7 +76,7 @@ def generate(
       out: the bank's folder, or a URL such as s3://bucket/name; an interrupted bank is continued.
       spec: what is asked for, or a pool's name.
       layout: what shall stand where: a YAML file, or a name of `cluttergen list`, such as breakfast_for_two
-        (`read_layout`); other options that are not at their defaults go before what it says.
+        (`layout.read`); other options that are not at their defaults go before what it says.
       num_scenes: scenes to make, failures counted.
       seed: the same seed makes the same scenes, 0 to 4294967295.
       render: draw a picture of each scene that gets a file.

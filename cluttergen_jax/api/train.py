@@ -96,7 +96,7 @@ def train(
       seed: of weights, episodes and actions, 0 to 4294967295.
       reward: "paper", "code" or "compressed"; the preset's if not given.
       encoder: of the scene: "set", "pointnet" or "pointnet2"; the preset's if not given.
-      encoder_weights: folder of pretrained weights that the point encoders begin with (`pretrain`).
+      encoder_weights: folder of pretrained weights that the point encoders begin with (`training.pretrain`).
       encoder_frozen: leave these weights as they are, as the paper's presets do unasked.
       out: the run's folder, runs/POOL-VARIANT-SEED (runs/guided-SEED) if not given; of a suite, the folder
         of all its runs.

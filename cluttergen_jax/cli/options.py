@@ -175,9 +175,9 @@ class Command:
             return made(**values)
 
         parameters = [
-            *map(_parameter, positional),
-            *(_parameter(field) for field in parts.values()),
-            *map(_parameter, settings),
+            *(_parameter(each.name, each.type, each.default) for each in positional),
+            *(_parameter(name, *part) for name, part in parts.items()),
+            *(_parameter(each.name, each.type, each.default) for each in settings),
         ]
         parse.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         parse.__annotations__ = {each.name: each.annotation for each in parameters}
@@ -213,26 +213,24 @@ class Command:
         )
 
 
-def _part(name: str, fields: Sequence[dataclasses.Field[Any]]) -> dataclasses.Field[Any]:
-    """Options of one group as a single one, which tyro shows below a heading."""
-    made = dataclasses.make_dataclass(
+def _part(name: str, fields: Sequence[dataclasses.Field[Any]]) -> tuple[Any, Any]:
+    """The type and default of options of one group as a single one, which tyro shows below a heading."""
+    made: Any = dataclasses.make_dataclass(
         name, [(each.name, each.type, dataclasses.field(default=each.default)) for each in fields]
     )
     is_needed = any(each.default is dataclasses.MISSING for each in fields)
-    part = dataclasses.field(default=dataclasses.MISSING if is_needed else made())
-    part.name = name
-    part.type = Annotated[made, tyro.conf.arg(help=spec.OPTION_GROUPS[name])]
-    return part
+    kind = Annotated[made, tyro.conf.arg(help=spec.OPTION_GROUPS[name])]
+    return kind, dataclasses.MISSING if is_needed else made()
 
 
-def _parameter(field: dataclasses.Field[Any]) -> inspect.Parameter:
-    """A field as an argument that is given by name."""
-    is_needed = field.default is dataclasses.MISSING
+def _parameter(name: str, kind: Any, default: Any) -> inspect.Parameter:
+    """An argument that is given by name."""
+    is_needed = default is dataclasses.MISSING
     return inspect.Parameter(
-        field.name,
+        name,
         inspect.Parameter.KEYWORD_ONLY,
-        default=inspect.Parameter.empty if is_needed else field.default,
-        annotation=field.type,
+        default=inspect.Parameter.empty if is_needed else default,
+        annotation=kind,
     )
 
 
@@ -270,7 +268,7 @@ class Group:
             Annotated[each.options, tyro.conf.subcommand(name, constructor=each.options.parser)]
             for name, each in self.actions.items()
         )
-        made = dataclasses.make_dataclass(
+        made: Any = dataclasses.make_dataclass(
             "Group",
             [("action", functools.reduce(operator.or_, kinds))],
             bases=(Options,),

@@ -122,6 +122,15 @@ def test_every_page_of_the_menu_exists():
     assert all((ROOT / source).is_file() for source in made if not source.startswith("reports/"))
 
 
+def test_the_search_finds_guides_before_references():
+    """A title counts 1000 times as much as a word of a text (mkdocs-material)."""
+    pytest.importorskip("mkdocs", reason="needs the extra docs")
+    boost_of = runpy.run_path(str(DOCS / "site_pages.py"))["boost_of"]
+    for guide in ("guide/export.md", "start.md", "tutorials/04_bank.md", "index.md", "contract.md"):
+        assert boost_of(guide) > boost_of("reference/commands.md")
+        assert boost_of(guide) > 1000 * boost_of("reference/python/scene.md")
+
+
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     """The folder of the site, built with every warning an error."""
@@ -233,6 +242,11 @@ def test_code_in_a_text_stays_code():
 def test_the_site_has_its_pages(site):
     pages = {str(path.relative_to(site)) for path in site.rglob("*.html")}
     assert {"index.html", "reference/api/index.html", "reference/commands/index.html"} <= pages
+    entries = json.loads((site / "search" / "search_index.json").read_text())["docs"]
+    boosts = {each["location"]: each.get("boost", 1) for each in entries}
+    assert (
+        boosts["guide/export/"] > boosts["reference/commands/"] > boosts["reference/python/scene/"]
+    )
     assert "make_sampler" in (site / "reference" / "api" / "index.html").read_text()
     commands = (site / "reference" / "commands" / "index.html").read_text()
     assert all(
