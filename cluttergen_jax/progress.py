@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, wait
+from contextlib import contextmanager
 from functools import cache
 from types import TracebackType
 from typing import Any, TextIO, TypeVar
@@ -19,14 +20,34 @@ from cluttergen_jax.numerics import with_own_settings
 T = TypeVar("T")
 EVERY = 10.0
 """Seconds between two lines in a log."""
+_TICK = 1.0
+"""Seconds after which a terminal shows anew how long something has lasted."""
 _LONGEST_WAIT = 0.2
 stop_asked = threading.Event()
 """Set by the console script at Ctrl-C. An import may swallow a KeyboardInterrupt, which comes again then."""
 COMPILING = "compiling where this was not compiled before, which takes about 20 s"
 
 
+class _Ticker:
+    """Calls a function every second, from a thread of its own, until it is stopped."""
+
+    def __init__(self, tick: Callable[[], None]) -> None:
+        self._tick = tick
+        self._is_over = threading.Event()
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def _run(self) -> None:
+        while not self._is_over.wait(_TICK):
+            self._tick()
+
+    def stop(self) -> None:
+        self._is_over.set()
+
+
 class Progress:
     """Counts what is done: a bar on a terminal; elsewhere a line every ten seconds, and none before.
+
+    In a `with` block the seconds go on while nothing gets done, with the last note of what is at work.
 
     Args:
       title: what is done, as in "drawing".
@@ -61,9 +82,19 @@ class Progress:
             disable=self._is_log or not total,
         )
         self._started = self._last_line = clock()
+        self._note = ""
+        self._lock = threading.Lock()
+        self._ticker: _Ticker | None = None
 
     def __enter__(self) -> Progress:
+        self._ticker = _Ticker(self._tick)
         return self
+
+    def _tick(self) -> None:
+        if self._is_log:
+            self._log(self._note)
+        else:
+            self._bar.refresh()
 
     def __exit__(
         self,
@@ -71,13 +102,19 @@ class Progress:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._bar.close()
         if error is None:
             self.close()
+        else:
+            self._end()
+
+    def _end(self) -> None:
+        if self._ticker is not None:
+            self._ticker.stop()
+        self._bar.close()
 
     def close(self) -> None:
         """Nothing more is shown; a log that has lines gets a last one."""
-        self._bar.close()
+        self._end()
         if self._is_log and self._last_line > self._started:
             passed = time_text(self._clock() - self._started)
             self.say(f"{self.title}: {self.done} of {self.total} {self.unit}s done in {passed}")
@@ -92,15 +129,19 @@ class Progress:
 
     def note(self, text: str) -> None:
         """What is being done: beside the bar; in a log, in lines that come while nothing gets done."""
+        self._note = text
         if not self._is_log:
             self._bar.set_postfix_str(text)
         self._log(text)
 
     def _log(self, note: str) -> None:
         """A line in a log, where the last is long ago."""
-        now = self._clock()
-        if self._is_log and now - self._last_line >= EVERY:
-            self._last_line = now
+        with self._lock:
+            now = self._clock()
+            is_due = self._is_log and now - self._last_line >= EVERY
+            if is_due:
+                self._last_line = now
+        if is_due:
             text = f"{self.title}: {self.done} of {self.total} {self.unit}s, {self.times()}"
             self.say(f"{text}, {note}" if note else text)
 
@@ -109,7 +150,7 @@ class Progress:
         passed = self._clock() - self._started
         made = self.done - self.kept
         left = f", {time_text(passed / made * (self.total - self.done))} left" if made else ""
-        return f"{time_text(passed)} passed{left}"
+        return f"{passed_text(passed)} passed{left}"
 
     def rate(self, more: int = 0) -> float:
         """How many have been done in a second so far, `more` included that are not counted yet."""
@@ -126,6 +167,75 @@ class Progress:
             print(text, file=self._file, flush=True)
         else:
             self._bar.write(text, file=self._file)
+
+
+@contextmanager
+def waiting(
+    phase: str,
+    reason: str,
+    say: Callable[[str], None] | None = None,
+    file: TextIO | None = None,
+    clock: Callable[[], float] = time.monotonic,
+) -> Iterator[None]:
+    """Says what is done in the block, without parts that could be counted, and for how many seconds.
+
+    The phase and its reason come first. Then a terminal shows the seconds that have passed; elsewhere there
+    is a line every ten seconds, and a last one where there was any.
+
+    Args:
+      phase: what is done, as in "compiling"; reason: why it takes long, and about how long.
+      say: is given the first line; it goes where the others go if not given.
+      file, clock: as of `Progress`.
+    """
+    file = file or sys.stderr or _nowhere()
+    started = last_line = clock()
+    is_log = not file.isatty()
+    text = f"{phase}: {reason}"
+    bar = tqdm(
+        desc=phase, bar_format="{desc}: {elapsed} passed", file=file, disable=is_log, leave=False
+    )
+
+    def write(line: str) -> None:
+        if is_log:
+            print(line, file=file, flush=True)
+        else:
+            bar.write(line, file=file)
+
+    def tick() -> None:
+        nonlocal last_line
+        now = clock()
+        if not is_log:
+            bar.refresh()
+        elif now - last_line >= EVERY:
+            last_line = now
+            write(f"{phase}: {passed_text(last_line - started)} passed")
+
+    (say or write)(text)
+    # A log of both streams has it before the seconds.
+    if sys.stdout is not None:
+        sys.stdout.flush()
+    ticker = _Ticker(tick)
+    try:
+        yield
+    finally:
+        ticker.stop()
+        bar.close()
+    if is_log and last_line > started:
+        write(f"{phase}: done in {passed_text(clock() - started)}")
+
+
+_hearers: list[Callable[[str], None]] = []
+
+
+def hear_phases(hear: Callable[[str], None]) -> None:
+    """From now on `hear` is given what this process says of its work by `say_phase`."""
+    _hearers.append(hear)
+
+
+def say_phase(text: str) -> None:
+    """What this process begins to do now, for those who wait for it; nobody may be there to hear it."""
+    for hear in _hearers:
+        hear(text)
 
 
 @cache
@@ -146,6 +256,12 @@ def time_text(seconds: float) -> str:
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def passed_text(seconds: float) -> str:
+    """A length of time that goes on, with its seconds: shown again, it differs from the one before."""
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest} s" if 90 <= seconds < 5400 else time_text(seconds)
 
 
 def interruptible(function: Callable[..., T], *args: Any) -> T:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import inspect
 import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -87,8 +89,8 @@ BALANCES = get_args(Balance)
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-class SceneOptions(TypedDict, total=False):
-    """The fields of a `SceneSpec`, as keywords of the functions that take them."""
+class ObjectOptions(TypedDict, total=False):
+    """Of a `SceneSpec`: which objects, and how many."""
 
     pool: str | Path
     objects: Sequence[str]
@@ -99,16 +101,23 @@ class SceneOptions(TypedDict, total=False):
     weights: str | Mapping[str, float]
     theme: str
     balance: Balance
+
+
+class PlaceOptions(TypedDict, total=False):
+    """Of a `SceneSpec`: on what, and where on it."""
+
     support: str | Path
     surface: str
     region: Rectangle | str | None
     keep_out: Sequence[Rectangle | str]
     start: str | None
     containment: Containment
+
+
+class RuleOptions(TypedDict, total=False):
+    """Of a `SceneSpec`: by which rules, and by which method."""
+
     order: Order | None
-    max_attempts: int
-    ruin_after: int | None
-    budget: int | None
     min_margin: float | None
     robust: bool
     stability: str | Mapping[str, float | str] | StabilityConfig | None
@@ -131,8 +140,73 @@ class SceneOptions(TypedDict, total=False):
     doors: DoorState | None
     method: Method | OwnProposer | str | None
     checkpoint: str | Path | None
+
+
+class NumberOptions(TypedDict, total=False):
+    """Of a `SceneSpec`: how often it is tried."""
+
+    max_attempts: int
+    ruin_after: int | None
+    budget: int | None
+
+
+class MachineOptions(TypedDict, total=False):
+    """Of a `SceneSpec`: on what it is computed."""
+
     engine: Engine
     num_threads: int
+
+
+class SceneOptions(
+    ObjectOptions, PlaceOptions, RuleOptions, NumberOptions, MachineOptions, total=False
+):
+    """The fields of a `SceneSpec`, as keywords of the functions that take them."""
+
+
+OPTION_GROUPS = {
+    "everyday": "",
+    "what": "What is used, and what is made of it.",
+    "where": "On which support, in which region, seen from where.",
+    "how": "By which rules and methods.",
+    "how_many": "Numbers, limits and seeds.",
+    "files": "What is written, and where to.",
+    "machine": "Engines, processes, addresses.",
+}
+"""The groups in which the help of a command shows its options, in their order, and what each says."""
+GROUP_OF = {
+    name: group
+    for group, kind in (
+        ("what", ObjectOptions),
+        ("where", PlaceOptions),
+        ("how", RuleOptions),
+        ("how_many", NumberOptions),
+        ("machine", MachineOptions),
+    )
+    for name in kind.__annotations__
+}
+"""The group of each field of a request."""
+
+
+def in_groups(
+    what: str = "", where: str = "", how_many: str = "", files: str = "", machine: str = ""
+) -> Callable[[F], F]:
+    """A decorator that puts the arguments of a function into groups of its command's help.
+
+    Args:
+      what, where, how_many, files, machine: names of arguments, with spaces between. Those of a request are
+        in groups already (`GROUP_OF`); any other is in the group "how".
+    """
+    named = {"what": what, "where": where, "how_many": how_many, "files": files, "machine": machine}
+    groups = {name: group for group, names in named.items() for name in names.split()}
+
+    def decorate(function: F) -> F:
+        known = inspect.signature(function).parameters
+        if unknown := groups.keys() - known.keys():
+            raise TypeError(f"{function.__name__} has no arguments {', '.join(sorted(unknown))}")
+        function.option_groups = groups  # type: ignore[attr-defined]
+        return function
+
+    return decorate
 
 
 @dataclass(frozen=True, repr=False)
@@ -774,6 +848,27 @@ def _recorded_region(recipe: Mapping[str, Any]) -> Rectangle | str:
     if corners := recipe.get("polygon"):
         return ";".join(f"{x!r},{y!r}" for x, y in corners)
     return recorded_rectangle(recipe["region"])
+
+
+def renamed(**names: str) -> Callable[[F], F]:
+    """A decorator for a function whose arguments had other names before: those go on working, with a warning.
+
+    Args:
+      names: today's name by the former one.
+    """
+
+    def decorate(function: F) -> F:
+        @functools.wraps(function)
+        def call(*args: Any, **given: Any) -> Any:
+            for former in names.keys() & given.keys():
+                text = f"{function.__name__}({former}=...) is now called {names[former]}"
+                warnings.warn(text, DeprecationWarning, stacklevel=2)
+                given[names[former]] = given.pop(former)
+            return function(*args, **given)
+
+        return cast(F, call)
+
+    return decorate
 
 
 def takes_spec(refused: Mapping[str, str] | None = None, **defaults: Any) -> Callable[[F], F]:

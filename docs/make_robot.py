@@ -33,7 +33,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
         for found in (
-            cg.robot_place(out / "robot", num_episodes=1, placer="none", films=True),
+            cg.robot.place(out / "robot", num_episodes=1, placer="none", films=True),
             cg.rearrange(out / "rearrange", num_episodes=1, films=True, show_layouts=True),
         ):
             assert found.rows[0].is_success, found
@@ -41,7 +41,7 @@ def main() -> None:
         save(strip(out / "rearrange/paper/films/success-0.gif"), "rearrange.png")
         with Image.open(out / "rearrange/paper/layouts-0.png") as sheet:
             save(np.asarray(sheet), "layouts.png")
-        cg.robot_grasps("household", picture=out / "grasps.png")
+        cg.robot.grasps("household", picture=out / "grasps.png")
         with Image.open(out / "grasps.png") as sheet:
             save(np.asarray(sheet), "grasps.png")
 

@@ -87,7 +87,7 @@ def page_of(robot: str, folder: Path) -> str:
     """The page of a robot, its film made."""
     name = Path(robot).parent.name if robot == OWN else robot
     given = str(HERE.parent / OWN) if robot == OWN else robot
-    placed = cg.robot_place(folder / name, robot=given, num_episodes=NUM_EPISODES, films=True)
+    placed = cg.robot.place(folder / name, robot=given, num_episodes=NUM_EPISODES, films=True)
     moved = cg.rearrange(
         folder / name / "rearrange", robot=given, num_episodes=NUM_EPISODES, seed=40
     )

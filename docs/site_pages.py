@@ -52,6 +52,17 @@ PAGES = (
     }
 )
 """Files of the repository outside docs, and the pages that they become."""
+BOOSTS = {
+    "reference/python/": 0.01,
+    "reports/": 0.1,
+    "changes.md": 0.1,
+    "benchmarks.md": 0.1,
+    "contributing.md": 0.1,
+    "reference/": 1.0,
+}
+"""By the beginning of a page's name, what its hits in the search are multiplied by; the first that fits."""
+_OF_READERS = 100.0
+"""The same of all other pages, which people read: a title counts 1000 times as much as a word of a text."""
 _LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)([^)\s#]+)(#[^)\s]*)?(?=\))")
 _WIDE = "300"
 """Columns of a terminal in which an option of a command and its type are on one line."""
@@ -122,6 +133,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Links of the repository become links of the site; the package map is drawn."""
     uri = page.file.src_uri
+    page.meta.setdefault("search", {"boost": boost_of(uri)})
     source = next((path for path, made in PAGES.items() if made == uri), f"docs/{uri}")
 
     def relinked(match: re.Match[str]) -> str:
@@ -136,6 +148,11 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
             r"(?<=## Package layout\n\n)(?: {4}.+\n)+", _package_map() + "\n", markdown
         )
     return markdown
+
+
+def boost_of(uri: str) -> float:
+    """What hits of the search in a page are multiplied by: guides come before references and records."""
+    return next((boost for start, boost in BOOSTS.items() if uri.startswith(start)), _OF_READERS)
 
 
 def _without_code_links(markdown: str, source: str) -> str:
@@ -241,18 +258,24 @@ def _commands() -> str:
 
 def _command(name: str, text: str) -> str:
     """A command's help in Markdown: usage, what it does, and its arguments."""
-    intro, *boxes = re.split(r"\n *[a-z][a-z ]*\n *-{10,} *\n", text)
+    intro, *boxes = re.split(r"\n *([a-z][a-z -]*)\n *-{10,} *\n", text)
     usage, _, about = intro.partition("\n\n")
     parts = [f"```text\n{usage.removeprefix('usage: ').strip()}\n```", escaped(about.strip())]
-    # An argument begins its line after two spaces; what is said of it may go on below, further in.
-    for place, entry in enumerate(
-        re.findall(r"^  \S.*(?:\n {3,}\S.*)*", "\n".join(boxes), re.MULTILINE), 1
-    ):
-        written, *rest = re.split(r"(?<=\S) {2,}|\n", entry.strip(), maxsplit=1)
-        flags = re.findall(r"(?<![\w-])--[a-z][\w-]*", written) or [f"--argument-{place}"]
-        if rest and "--help" not in flags:
-            anchor = f"{name} {flags[0][2:]}".replace(" ", "-")
-            parts.append(_option(anchor, written, " ".join(rest[0].split())))
+    place = 0
+    for title, box in zip(boxes[::2], boxes[1::2], strict=True):
+        options = []
+        # An argument begins its line after two spaces; what is said of it may go on below, further in.
+        for entry in re.findall(r"^  \S.*(?:\n {3,}\S.*)*", box, re.MULTILINE):
+            place += 1
+            written, *rest = re.split(r"(?<=\S) {2,}|\n", entry.strip(), maxsplit=1)
+            flags = re.findall(r"(?<![\w-])--[a-z][\w-]*", written) or [f"--argument-{place}"]
+            if rest and "--help" not in flags:
+                anchor = f"{name} {flags[0][2:]}".replace(" ", "-")
+                options.append(_option(anchor, written, " ".join(rest[0].split())))
+        if options and title.strip().endswith(" options"):
+            group = title.strip().removesuffix(" options").replace("-", " ")
+            parts.append(f"**{group.capitalize()}**")
+        parts += options
     return "\n\n".join(parts)
 
 

@@ -32,7 +32,7 @@ checkpoint = cg.train(
 keys = jax.random.split(jax.random.key(0), 256)
 
 
-def success(sample: cg.Sampler) -> float:
+def success(sample: cg.typing.Sampler) -> float:
     return float(jax.jit(jax.vmap(sample))(keys).is_success.mean())
 
 

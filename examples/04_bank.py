@@ -28,7 +28,7 @@ print(report)
 assert report.is_sound
 
 # %%
-print(cg.stats_text(bank, cg.stats_of(bank)))
+print(cg.stats(bank))
 
 # %% [markdown]
 # A row per scene, failures included, in Parquet: pandas, Polars, DuckDB read it too. `bank/README.md`

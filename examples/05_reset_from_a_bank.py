@@ -32,7 +32,7 @@ class Push(Env):
     action_size = 2
     backend = "mjx"
 
-    def __init__(self, bank: cg.BankArrays) -> None:
+    def __init__(self, bank: cg.typing.BankArrays) -> None:
         model = bank.model()
         # Softer contacts and few solver iterations: made for learning, not for verification.
         model.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL

@@ -13,7 +13,7 @@ num_objects = 4
 keys = jax.random.split(jax.random.key(0), num_scenes)
 
 
-def describe(title: str, scenes: cg.SceneBatch) -> None:
+def describe(title: str, scenes: cg.typing.SceneBatch) -> None:
     xy = scenes.T_world_object.translation()[..., :2][scenes.is_placed]
     box = ", ".join(
         f"{low:.2f} to {high:.2f} m" for low, high in zip(xy.min(0), xy.max(0), strict=True)
@@ -29,7 +29,7 @@ sample = cg.make_sampler(num_objects=num_objects, method="clear")
 top = sample.problem.world.support.top
 
 
-def turned(key: jax.Array, angle: jax.Array) -> cg.SceneBatch:
+def turned(key: jax.Array, angle: jax.Array) -> cg.typing.SceneBatch:
     center = 0.05 * jnp.array([jnp.cos(angle), jnp.sin(angle)])
     return sample(key, region=cg.make_region(center, jnp.array([0.15, 0.2]), angle, top))
 

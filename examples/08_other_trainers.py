@@ -25,7 +25,7 @@ task = {
 
 # %%
 env = cg.make_env(**task, auto_reset=False)
-make_policy, params, _ = cg.train_brax(
+make_policy, params, _ = cg.envs.train_brax(
     env,
     num_timesteps=20_000,
     num_envs=64,
@@ -66,10 +66,10 @@ print(
 
 # %% [markdown]
 # Gymnasium, for torch: here with actions drawn at random. With Stable-Baselines3 it is
-# `PPO("MlpPolicy", cg.make_sb3_env(64, **task)).learn(50_000)`.
+# `PPO("MlpPolicy", cg.envs.make_sb3_env(64, **task)).learn(50_000)`.
 
 # %%
-envs = cg.make_vector_env(32, **task)
+envs = cg.envs.make_vector_env(32, **task)
 observation, _ = envs.reset(seed=0)
 envs.action_space.seed(0)
 rewards = []

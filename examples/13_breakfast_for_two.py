@@ -35,7 +35,7 @@ if __name__ == "__main__":
     bank = cg.generate("bank", layout="breakfast.yaml", num_scenes=num_scenes)
     print(bank)
     cg.render("bank", "pictures", picture=False, sheet=True, columns=4)
-    print(f"layouts that come with the package: {', '.join(cg.list_layouts())}")
+    print(f"layouts that come with the package: {', '.join(cg.layout.list_layouts())}")
 
 # %% [markdown]
 # ![Eight breakfasts for two](../docs/images/tutorials/breakfast.png)

@@ -27,8 +27,8 @@ bank = cg.load_bank("grasp_bank")
 
 # %%
 for physics in ("accurate", "learning"):
-    world = cg.with_robot(
-        bank, physics=physics, randomization=cg.RandomizationConfig(mass=(0.5, 2.0))
+    world = cg.robot.with_robot(
+        bank, physics=physics, randomization=cg.robot.RandomizationConfig(mass=(0.5, 2.0))
     )
     data = mujoco.MjData(world.model)
     state = world.reset(0)
@@ -87,7 +87,7 @@ def episode(env, policy: np.ndarray, seed: int) -> tuple[float, dict]:
 
 
 # %%
-env = cg.make_robot_env("grasp", bank, action="tool", physics="learning", max_seconds=6.0)
+env = cg.robot.make_env("grasp", bank, action="tool", physics="learning", max_seconds=6.0)
 rng = np.random.default_rng(0)
 mean = np.array([1.5, 0.8])
 spread = np.array([1.0, 0.6])

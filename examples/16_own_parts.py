@@ -36,7 +36,7 @@ def widest_gap(rng, query):
     )
 
 
-print(cg.robot_place("own/placer", bank.path, placer=widest_gap, num_episodes=num_episodes))
+print(cg.robot.place("own/placer", bank.path, placer=widest_gap, num_episodes=num_episodes))
 
 # %% [markdown]
 # **Grasps** are poses of the tool in the object's frame (z is the approach, the fingers close along y), and
@@ -55,7 +55,7 @@ def from_above(asset):
 
 grasps = {asset.name: from_above(asset) for asset in cg.load_pool("household").objects}
 print(
-    cg.robot_place("own/grasps", bank.path, placer="none", grasps=grasps, num_episodes=num_episodes)
+    cg.robot.place("own/grasps", bank.path, placer="none", grasps=grasps, num_episodes=num_episodes)
 )
 
 # %% [markdown]
@@ -75,7 +75,7 @@ def by_way_of_home(query):
 
 
 print(
-    cg.robot_place(
+    cg.robot.place(
         "own/planner", bank.path, placer="none", planner=by_way_of_home, num_episodes=num_episodes
     )
 )

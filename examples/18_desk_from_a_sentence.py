@@ -51,9 +51,9 @@ if __name__ == "__main__":
     Path("my_model.py").write_text(STUB)
     model = f"{sys.executable} my_model.py"
     pool = "office+study+dining"
-    asked = cg.ask_layout("a messy desk", model, "desk.yaml", pool=pool, overwrite=True)
+    asked = cg.layout.ask("a messy desk", model, "desk.yaml", pool=pool, overwrite=True)
     print(asked)
-    print(cg.check_layout("desk.yaml"))
+    print(cg.layout.check("desk.yaml"))
     bank = cg.generate("desk", layout="desk.yaml", num_scenes=num_scenes, overhang="half")
     print(bank)
     cg.render("desk", "pictures", picture=False, sheet=True, columns=4)

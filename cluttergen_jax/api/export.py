@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from cluttergen_jax.api.text import scene_numbers
 from cluttergen_jax.config import CameraName, ExportFormat
 from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.spec import renamed
 
 if TYPE_CHECKING:
     from cluttergen_jax.scene import Bank, Scene
@@ -156,12 +157,13 @@ def _scenes_of(source: Any) -> list[Scene]:
     return scenes
 
 
+@renamed(is_private="private")
 def push_bank(
     path: str | Path,
     name: str,
     *,
     hub: str | None = None,
-    is_private: bool = False,
+    private: bool = False,
     allow_outside: bool = False,
 ) -> str:
     """Publishes a bank as a data set, with its card; returns where it is.
@@ -173,7 +175,7 @@ def push_bank(
       name: OWNER/NAME.
       hub: another server's address, https://..., or a folder; the variable CLUTTERGEN_HUB says the same. The
         Hugging Face Hub if not given.
-      is_private: a new data set can be seen by its owner alone.
+      private: a new data set can be seen by its owner alone.
       allow_outside: publish also what was made of files from outside the folders that were imported.
 
     Raises:
@@ -184,7 +186,7 @@ def push_bank(
     """
     from cluttergen_jax.scene.bank import push
 
-    return push(path, name, hub, is_private, allow_outside)
+    return push(path, name, hub, private, allow_outside)
 
 
 def pull_bank(

@@ -13,7 +13,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.kept_folder import hold_file
 from cluttergen_jax.numerics import with_kept_programs
 from cluttergen_jax.placement.methods.table import TARGETS
-from cluttergen_jax.spec import SceneOptions, SceneSpec, spec_of, takes_spec
+from cluttergen_jax.spec import SceneOptions, SceneSpec, in_groups, spec_of, takes_spec
 
 if TYPE_CHECKING:
     from cluttergen_jax.generation.generate import GeneratedBank
@@ -45,6 +45,12 @@ _NOT_BY_HAND = {
 
 @with_kept_programs
 @takes_spec()
+@in_groups(
+    what="layout",
+    how_many="num_scenes seed",
+    files="out render max_files overwrite allow_other_bits",
+    machine="cluster workers",
+)
 def generate(
     out: str | Path = "out",
     spec: SceneSpec | str | Path | None = None,
@@ -70,7 +76,7 @@ def generate(
       out: the bank's folder, or a URL such as s3://bucket/name; an interrupted bank is continued.
       spec: what is asked for, or a pool's name.
       layout: what shall stand where: a YAML file, or a name of `cluttergen list`, such as breakfast_for_two
-        (`read_layout`); other options that are not at their defaults go before what it says.
+        (`layout.read`); other options that are not at their defaults go before what it says.
       num_scenes: scenes to make, failures counted.
       seed: the same seed makes the same scenes, 0 to 4294967295.
       render: draw a picture of each scene that gets a file.
@@ -175,6 +181,7 @@ def repair(
 
 @with_kept_programs
 @takes_spec(_NOT_BY_HAND)
+@in_groups(how_many="seed", files="out overwrite", machine="host port browser")
 def place_by_hand(
     out: str | Path = "out/hand",
     *,

@@ -17,12 +17,18 @@ from cluttergen_jax.assets.config import (
 )
 from cluttergen_jax.config import Axis, ByVolume, Collision, Tier, Up
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.spec import in_groups, renamed
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets.support import SupportAsset
     from cluttergen_jax.importing.run import ImportReport
 
 
+@in_groups(
+    what="pool set settings max_size max_mass take_all licence attribution",
+    files="add force",
+    machine="jobs time_limit progress cluster workers",
+)
 def import_pool(
     sources: Sequence[str | Path] | str | Path,
     pool: str,
@@ -134,8 +140,10 @@ def import_pool(
     return import_sources([sources] if isinstance(sources, str | Path) else sources, pool, how)
 
 
+@renamed(path="support")
+@in_groups(what="support name licence attribution", files="force")
 def import_support(
-    path: str | Path,
+    support: str | Path,
     name: str | None = None,
     *,
     scale: float = 1.0,
@@ -162,9 +170,9 @@ def import_support(
     The arguments that are not explained here are those of `import_pool`.
 
     Args:
-      path: instead of sources and a pool, the file of one piece of furniture with a level or gently sloping
-        surface: a mesh, URDF, SDF or MJCF, or a folder that holds one. FILE#BODY takes one body, link, model
-        or node of MJCF, URDF, SDF or glTF, with all that hangs on it.
+      support: instead of sources and a pool, the file of one piece of furniture with a level or gently
+        sloping surface: a mesh, URDF, SDF or MJCF, or a folder that holds one. FILE#BODY takes one body,
+        link, model or node of MJCF, URDF, SDF or glTF, with all that hangs on it.
       name: the new support's name; the file's or the body's own if not given, with my_ before it where a
         support of that name comes with the package.
       joint: where joints of a URDF or MJCF file are to be, NAME=VALUE each, in metres, or degrees for those
@@ -192,7 +200,7 @@ def import_support(
         licence=licence,
         attribution=attribution,
     )
-    return write_table(path, name, options, force, _joints_of(joint))
+    return write_table(support, name, options, force, _joints_of(joint))
 
 
 def _joints_of(texts: Sequence[str]) -> dict[str, float]:

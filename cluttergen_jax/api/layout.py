@@ -72,7 +72,7 @@ def ask_layout(
     """Has a language model write a layout for a sentence, and sends it its errors; `cluttergen layout ask`.
 
     The model gets the schema of a layout, the objects of the pool and the request. Its answer is checked as
-    by `check_layout`. The arguments that are not explained here are those of `SceneSpec`.
+    by `layout.check`. The arguments that are not explained here are those of `SceneSpec`.
 
     Args:
       request: what shall stand there, in words: "breakfast for two, messy".

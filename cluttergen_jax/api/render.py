@@ -24,6 +24,7 @@ from cluttergen_jax.files import check_folder
 from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.numerics import with_kept_programs, with_own_settings
 from cluttergen_jax.rendering.config import QUALITIES, CameraView, FilmConfig, PhotoConfig, Quality
+from cluttergen_jax.spec import in_groups
 
 if TYPE_CHECKING:
     from cluttergen_jax.generation.sources.rendering import RenderReport
@@ -37,6 +38,12 @@ _SPLITS = ("train", "val", "test")
 
 
 @with_kept_programs
+@in_groups(
+    what="scenes picture sheet turntable replay figure density depth segmentation points bop",
+    where="view whole doors cameras",
+    how_many="views samples seed columns",
+    files="out split film",
+)
 def render(
     source: str | Path | Scene | Bank | Sequence[Scene],
     out: str | Path = "out/pictures",
@@ -213,6 +220,12 @@ def _numbers(scenes: Sequence[int] | str | None) -> Sequence[int] | Literal["all
 
 
 @with_own_settings
+@in_groups(
+    where="cameras",
+    how_many="num_scenes seed",
+    files="out form splits",
+    machine="cluster workers",
+)
 def make_dataset(
     banks: Sequence[str | Path | Bank] | str | Path | Bank,
     out: str | Path = "dataset",
@@ -363,6 +376,12 @@ def parse_splits(text: str) -> dict[str, float]:
 
 
 @with_kept_programs
+@in_groups(
+    what="pool num_objects",
+    where="support",
+    files="screenshots",
+    machine="native host port browser",
+)
 def view(
     source: str | Path | Scene | Bank | Sequence[Scene] | None = None,
     *,

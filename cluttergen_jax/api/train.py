@@ -21,7 +21,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.training.suite import POOLS, SEEDS
 from cluttergen_jax.numerics import with_kept_programs
 from cluttergen_jax.placement.methods.table import TARGETS
-from cluttergen_jax.spec import SceneOptions, SceneSpec, spec_of, takes_spec
+from cluttergen_jax.spec import SceneOptions, SceneSpec, in_groups, spec_of, takes_spec
 
 if TYPE_CHECKING:
     from cluttergen_jax.learning.training.pretrain import PretrainReport
@@ -42,6 +42,12 @@ _NOT_TAKEN = {
 
 @with_kept_programs
 @takes_spec(_NOT_TAKEN, num_objects=10)
+@in_groups(
+    where="change",
+    how_many="num_attempts num_envs seed eval_every eval_episodes",
+    files="out wandb",
+    machine="memory_limit coordinator num_processes process_id",
+)
 def train(
     spec: SceneSpec | str | Path | None = None,
     *,
@@ -90,7 +96,7 @@ def train(
       seed: of weights, episodes and actions, 0 to 4294967295.
       reward: "paper", "code" or "compressed"; the preset's if not given.
       encoder: of the scene: "set", "pointnet" or "pointnet2"; the preset's if not given.
-      encoder_weights: folder of pretrained weights that the point encoders begin with (`pretrain`).
+      encoder_weights: folder of pretrained weights that the point encoders begin with (`training.pretrain`).
       encoder_frozen: leave these weights as they are, as the paper's presets do unasked.
       out: the run's folder, runs/POOL-VARIANT-SEED (runs/guided-SEED) if not given; of a suite, the folder
         of all its runs.
@@ -189,6 +195,12 @@ def _check_guided(config: TrainConfig, more: Mapping[str, object]) -> None:
 
 
 @with_kept_programs
+@in_groups(
+    what="suite suite_list suite_only pools",
+    how_many="seeds num_attempts num_envs eval_every eval_episodes",
+    files="out wandb",
+    machine="engine memory_limit",
+)
 def train_suite(
     suite: Suite,
     *,

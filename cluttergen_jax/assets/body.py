@@ -29,6 +29,7 @@ from cluttergen_jax.assets.solid import Solid, solid_of
 from cluttergen_jax.assets.stances import upright_stance, usual_poses
 from cluttergen_jax.assets.visuals import simplify_pieces
 from cluttergen_jax.errors import AssetError, ConfigError
+from cluttergen_jax.progress import say_phase
 
 MAX_DEVIATION = 0.05
 MAX_TILT = np.radians(15)
@@ -252,6 +253,7 @@ def _candidate(
     config: BodyConfig,
     corners: int = MAX_BASE_CORNERS,
 ) -> _Candidate:
+    say_phase(f"measuring its convex parts ({len(raw)})")
     # Who models an object knows what its feet need.
     parts, rotation = _at_rest(raw, mass, corners, _FOOT_LOSS if shape.is_from_file else np.inf)
     turned = solid.rotate(rotation)

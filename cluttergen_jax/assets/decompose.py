@@ -28,6 +28,7 @@ from cluttergen_jax.assets.settle import upright_turn
 from cluttergen_jax.assets.solid import Solid, Voxels, as_manifold, is_convex, simplify_solid
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.geometry import at_height, cross_2d
+from cluttergen_jax.progress import say_phase
 
 _HOLE_SHARE = 0.09
 _FACTORS = (1.0, 0.5, 0.2)
@@ -440,6 +441,7 @@ def merge_parts(
       limits: over the diagonal.
       free: f64[N, 3]: none of these points gets into a part, unless there are more than `most`.
     """
+    say_phase(f"joining its convex parts ({len(parts)})")
     judge = _Judge(solid, max(limits), free)
     kept = dict(enumerate(parts))
     unions: dict[tuple[int, int], tuple[float, np.ndarray]] = {}
@@ -605,6 +607,8 @@ def _run(mesh: Mesh, solid: Solid, config: DecompositionConfig, jitter: float) -
         reach = jitter * solid.diagonal
         rng = np.random.default_rng(config.seed)
         mesh = Mesh(mesh.vertices + rng.uniform(-reach, reach, mesh.vertices.shape), mesh.faces)
+    of = "" if solid.is_exact else ", since its surface was open"
+    say_phase(f"cutting {len(mesh.faces):,} triangles into convex parts{of}")
     coacd.set_log_level("error")
     found = coacd.run_coacd(
         coacd.Mesh(mesh.vertices, mesh.faces),

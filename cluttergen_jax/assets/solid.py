@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from cluttergen_jax.assets.mesh import Mesh, clean_mesh, join_meshes
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.errors import AssetError
+from cluttergen_jax.progress import say_phase
 
 _MAX_PIECES = 64
 _MAX_FACES = 100_000
@@ -86,6 +87,8 @@ def solid_of(meshes: Sequence[Mesh]) -> Solid:
     shells = _closed_shells(meshes) if len(meshes) <= _MAX_PIECES else []
     united = _as_mesh(_union(shells)) if shells else surface
     is_exact = bool(shells) and _covers(united, surface)
+    if not is_exact:
+        say_phase(f"closing its open surface of {len(surface.faces):,} triangles on a grid")
     mesh = united if is_exact else _rebuild(surface)
     if len(mesh.faces) == 0:
         raise AssetError(

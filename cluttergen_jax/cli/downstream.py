@@ -12,6 +12,7 @@ from cluttergen_jax.downstream.rearrange.api import rearrange
 from cluttergen_jax.downstream.robot.api import grasp_dataset, robot_grasps, robot_place
 from cluttergen_jax.downstream.words import RobotObserver
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.spec import in_groups
 
 
 @command(placer_data, bank=Positional[str | None])  # type: ignore[misc]
@@ -69,11 +70,18 @@ def find_grasps(options: Options) -> None:
 
 
 @command(
-    robot_place,
+    in_groups(
+        what="task pool num_objects",
+        where="support region",
+        how_many="num_episodes seed",
+        files="out record record_format record_cameras films film",
+        machine="num_threads",
+    )(robot_place),
     bank=Positional[str | None],  # type: ignore[misc]
     robot=str,
     placer=str,
     grasps=str | None,
+    everyday="task robot placer num_episodes pool num_objects support method record films seed out",
 )
 def move_objects(options: Options) -> None:
     """Let a simulated robot arm put objects into scenes, or lift them out of them (extra `robot`).
@@ -102,12 +110,19 @@ run_robot = Group(
 
 
 @command(
-    rearrange,
+    in_groups(
+        what="setting pool goals",
+        where="support target cameras",
+        how_many="num_episodes num_layouts seed",
+        files="out show_layouts record record_format record_cameras films film",
+        machine="num_threads host port browser",
+    )(rearrange),
     bank=Positional[str | None],  # type: ignore[misc]
     observer=RobotObserver,
     grasps=str | None,
     target=str | None,
     robot=str,
+    everyday="setting num_episodes pool robot support observer choose pick record films seed out",
 )
 def run_rearrange(options: Options) -> None:
     """Let a simulated robot arm rearrange the objects of scenes (extra `robot`).

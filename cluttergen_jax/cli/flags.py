@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Collection, Iterator, Sequence
+from typing import Any, get_args
 
 from cluttergen_jax.errors import ClutterGenError
 
-FLAGS = {
-    "max_attempts": "attempts",
-    "num_threads": "threads",
-    "is_private": "private",
-    "take_all": "all",
-    "for_engine": "for",
+RENAMED = {
+    "attempts": "max_attempts",
+    "threads": "num_threads",
+    "for": "for_engine",
+    "all": "take_all",
 }
-"""Arguments whose option is called otherwise."""
+"""Options as they were called before each had the name of its argument, and their arguments."""
 _VALUE = r"""'[^']*'|"[^"]*"|\([^()]*\)|\[[^][]*\]|[\w.+-]*[\w+-]"""
 
 
@@ -27,6 +26,16 @@ def options_of(command: Any) -> Iterator[str]:
             yield from options_of(field.default)
         elif "Positional" not in str(field.type):
             yield field.name
+
+
+def options_known(command: Any) -> set[str]:
+    """The options of a command's class; of one whose second word says which is meant, those of them all."""
+    if not dataclasses.is_dataclass(command):
+        return set()
+    kinds = [kind for field in dataclasses.fields(command) for kind in get_args(field.type)]
+    several = [get_args(kind)[0] for kind in kinds if get_args(kind)]
+    commands = [command, *filter(dataclasses.is_dataclass, several)]
+    return {name for each in commands for name in options_of(each)}
 
 
 def error_with_flags(error: ClutterGenError, command: Any) -> str:
@@ -55,7 +64,32 @@ def error_with_flags(error: ClutterGenError, command: Any) -> str:
 
 
 def _flag_name(argument: str) -> str:
-    return FLAGS.get(argument, argument).replace("_", "-")
+    return argument.replace("_", "-")
+
+
+def flag_of(argument: str) -> str:
+    """The option of an argument: every option is called as its argument is."""
+    return f"--{_flag_name(argument)}"
+
+
+def with_new_names(words: Sequence[str], known: Collection[str]) -> tuple[list[str], list[str]]:
+    """The words of a command line with today's names of options that have been renamed, and a note for each.
+
+    Args:
+      known: the options that the command has, as arguments.
+    """
+    found = []
+    notes = []
+    for word in words:
+        flag, sign, value = word.partition("=")
+        match = re.fullmatch(r"--(no-)?([a-z-]+)", flag)
+        new = RENAMED.get(match[2].replace("-", "_")) if match else None
+        if match and new is not None and new in known and match[2] not in known:
+            renamed = f"--{match[1] or ''}{_flag_name(new)}"
+            notes.append(f"{flag} is now called {renamed}")
+            flag = renamed
+        found.append(f"{flag}{sign}{value}")
+    return found, notes
 
 
 def with_flags(text: str, command: Any) -> str:

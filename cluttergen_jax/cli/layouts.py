@@ -32,6 +32,7 @@ def show_schema() -> None:
     region=str | None,
     keep_out=tuple[str, ...],
     clutter=str | None,
+    everyday="pool objects num_objects support region",
 )
 def find_errors(options: Options) -> int:
     """Find all that is wrong with a layout at once. Exit status 1 if something is.
@@ -55,6 +56,7 @@ def find_errors(options: Options) -> int:
     clutter=str | None,
     needed=("request", "model"),
     left_out=("layout", *ask_layout.spec_refused),  # type: ignore[attr-defined]
+    everyday="model pool support region num_scenes seed render out",
 )
 def ask(options: Options) -> None:
     """Have a language model write a layout for a sentence, check it, and make scenes of it.

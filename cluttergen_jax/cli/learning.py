@@ -14,7 +14,12 @@ from cluttergen_jax.evaluation.api import evaluate
 _OF_PROCESSES = ("coordinator", "num_processes", "process_id")
 
 
-@command(train, train_suite, suite=Suite | None)
+@command(
+    train,
+    train_suite,
+    suite=Suite | None,
+    everyday="pool objects num_objects support variant preset paper suite num_attempts seed eval_every out",
+)
 def run_train(options: Options) -> int:
     """Train a placement policy with PPO. Rerun to resume.
 
@@ -53,7 +58,12 @@ def run_pretrain(options: Options) -> None:
     print(f"done       --encoder {options.encoder} --encoder-weights {report.folder}")
 
 
-@command(evaluate)
+@command(
+    evaluate,
+    everyday=(
+        "methods pools supports trials num_objects objects region natural change checkpoints seed out"
+    ),
+)
 def run_evaluate(options: Options) -> int:
     """Compare methods on pools and supports.
 

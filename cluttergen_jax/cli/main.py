@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import functools
 import gc
 import io
 import os
+import shutil
 import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import is_dataclass
 from importlib import import_module
 from operator import or_
 from types import FrameType
 from typing import Annotated, Any, TextIO
 
-from cluttergen_jax.cli.flags import error_with_flags
+from cluttergen_jax.cli.flags import error_with_flags, options_known, with_new_names
 from cluttergen_jax.errors import ClutterGenError, ConfigError, closest, printable
 from cluttergen_jax.files import advice_on, cache_home, check_utf8
 from cluttergen_jax.numerics import OF_THIS_PACKAGE, program_folder
@@ -27,6 +29,7 @@ from cluttergen_jax.rendering.gl import check_importable
 
 INTERRUPTED = 130
 _MANY_OBJECTS = 100_000
+_MOST_COLUMNS = 129
 _MOMENT = 0.05
 """Seconds after which a Ctrl-C that came during an import is tried again."""
 _STDIN, _STDOUT, _STDERR = range(3)
@@ -132,7 +135,11 @@ def run_words(command: Callable[[], Any], prog: str, words: Sequence[str]) -> in
         print(f"error: {error}", file=sys.stderr)
         return 2
     try:
-        parsed = parse_words(command(), prog, words)
+        made = command()
+        words, notes = with_new_names(words, options_known(made))
+        for note in notes:
+            print(f"note: {note}", file=sys.stderr)
+        parsed = parse_words(made, prog, words)
     except SystemExit as ended:
         # tyro ends the process where it has said what is wrong, or has explained a command.
         return int(ended.code or 0)
@@ -144,7 +151,22 @@ def parse_words(command: Any, prog: str, words: Sequence[str]) -> Any:
     import tyro
 
     config = (tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes)
-    return tyro.cli(command, prog=prog, args=words, config=config)
+    with _narrow_terminal():
+        return tyro.cli(getattr(command, "parser", command), prog=prog, args=words, config=config)
+
+
+@contextlib.contextmanager
+def _narrow_terminal() -> Iterator[None]:
+    """Groups of options stand below each other: in wider terminals tyro puts them side by side, mixed."""
+    before = os.environ.get("COLUMNS")
+    os.environ["COLUMNS"] = str(min(shutil.get_terminal_size().columns, _MOST_COLUMNS))
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["COLUMNS"]
+        else:
+            os.environ["COLUMNS"] = before
 
 
 def _version() -> str:
@@ -353,7 +375,14 @@ def all_commands() -> Any:
     """The union of all commands as tyro takes it: what a shell's completion is made of."""
     from tyro.conf import subcommand
 
-    return functools.reduce(or_, (Annotated[load(name), subcommand(name)] for name in COMMANDS))
+    kinds = {name: load(name) for name in COMMANDS}
+    return functools.reduce(
+        or_,
+        (
+            Annotated[kind, subcommand(name, constructor=kind.parser)]
+            for name, kind in kinds.items()
+        ),
+    )
 
 
 def overview() -> str:

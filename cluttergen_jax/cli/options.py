@@ -16,7 +16,7 @@ import tyro
 from docstring_parser import parse
 
 from cluttergen_jax import spec
-from cluttergen_jax.cli.flags import FLAGS, option_help, options_of
+from cluttergen_jax.cli.flags import flag_of, option_help, options_of
 from cluttergen_jax.errors import ConfigError
 
 _WRITTEN = {str: "STR", int: "INT", float: "FLOAT", Path: "PATH"}
@@ -28,6 +28,8 @@ class Options:
 
     resumes: ClassVar[bool]
     needs_mujoco: ClassVar[bool]
+    parser: ClassVar[Any]
+    """What tyro makes the options with: a function of their groups, or the class where it has none."""
 
     if typing.TYPE_CHECKING:
 
@@ -61,7 +63,7 @@ class Options:
         given = {name: getattr(self, name) for name in defaults}
         flags = set(options_of(self))
         useless = [
-            f"--{FLAGS.get(name, name).replace('_', '-')}" if name in flags else f"{name} {value!r}"
+            flag_of(name) if name in flags else f"{name} {value!r}"
             for name, value in given.items()
             if name not in (*taken, *ignored) and value != defaults[name]
         ]
@@ -97,6 +99,8 @@ class Command:
       needs_mujoco: whether it is refused where MuJoCo cannot be imported.
       left_out: arguments of the functions that are no options.
       needed: those that are no option to leave out, though not all functions take them.
+      everyday: the options that most calls need, in their order, with spaces between. Where there are some,
+        the help begins with them, and shows the others in groups (`spec.in_groups`).
     """
 
     run: Callable[..., int | None]
@@ -106,6 +110,7 @@ class Command:
     needs_mujoco: bool
     left_out: Sequence[str] = ()
     needed: Sequence[str] = ()
+    everyday: str = ""
 
     @functools.cached_property
     def options(self) -> type[Options]:
@@ -136,12 +141,57 @@ class Command:
             may_miss = (None, "", ()) if self.functions else (None,)
             option = tyro.conf.arg(
                 help=option_help(about, made) if self.functions else about,
-                name=FLAGS.get(field.name),
                 metavar=_metavar(field.type),
                 help_behavior_hint="(optional)" if field.default in may_miss else None,
             )
             made.__annotations__[field.name] = field.type = Annotated[field.type, option]
+        made.parser = self._parser(made) if self.everyday else made
         return made
+
+    def _parser(self, made: type[Options]) -> Callable[..., Options]:
+        """A function that makes the options of their groups, of which each has a heading in the help."""
+        everyday = self.everyday.split()
+        group_of = self._group_of() | dict.fromkeys(everyday, "everyday")
+        groups: dict[str, list[dataclasses.Field[Any]]] = {name: [] for name in spec.OPTION_GROUPS}
+        positional = []
+        settings = []
+        for field in dataclasses.fields(made):  # type: ignore[arg-type]
+            if "Positional" in str(field.type):
+                positional.append(field)
+            elif dataclasses.is_dataclass(field.default):
+                # They have a heading of their own.
+                settings.append(field)
+            else:
+                groups[group_of.get(field.name, "how")].append(field)
+        if len(groups["everyday"]) != len(everyday):
+            raise TypeError(f"{self.run.__name__}: no such option, or no plain one, in {everyday}")
+        groups["everyday"].sort(key=lambda field: everyday.index(field.name))
+        parts = {name: _part(name, fields) for name, fields in groups.items() if fields}
+
+        def parse(**given: Any) -> Options:
+            values: dict[str, Any] = {}
+            for name, value in given.items():
+                values |= vars(value) if name in parts else {name: value}
+            return made(**values)
+
+        parameters = [
+            *(_parameter(each.name, each.type, each.default) for each in positional),
+            *(_parameter(name, *part) for name, part in parts.items()),
+            *(_parameter(each.name, each.type, each.default) for each in settings),
+        ]
+        parse.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        parse.__annotations__ = {each.name: each.annotation for each in parameters}
+        parse.__doc__ = made.__doc__
+        return parse
+
+    def _group_of(self) -> dict[str, str]:
+        """The group of each argument that is in one."""
+        found: dict[str, str] = {}
+        for function in self.functions:
+            fields = getattr(function, "spec_fields", ())
+            own = getattr(function, "option_groups", {})
+            found = {name: spec.GROUP_OF[name] for name in fields} | own | found
+        return found
 
     def _class(self, fields: Sequence[Any]) -> type[Options]:
         def run(options: Options) -> int:
@@ -163,16 +213,40 @@ class Command:
         )
 
 
+def _part(name: str, fields: Sequence[dataclasses.Field[Any]]) -> tuple[Any, Any]:
+    """The type and default of options of one group as a single one, which tyro shows below a heading."""
+    made: Any = dataclasses.make_dataclass(
+        name, [(each.name, each.type, dataclasses.field(default=each.default)) for each in fields]
+    )
+    is_needed = any(each.default is dataclasses.MISSING for each in fields)
+    kind = Annotated[made, tyro.conf.arg(help=spec.OPTION_GROUPS[name])]
+    return kind, dataclasses.MISSING if is_needed else made()
+
+
+def _parameter(name: str, kind: Any, default: Any) -> inspect.Parameter:
+    """An argument that is given by name."""
+    is_needed = default is dataclasses.MISSING
+    return inspect.Parameter(
+        name,
+        inspect.Parameter.KEYWORD_ONLY,
+        default=inspect.Parameter.empty if is_needed else default,
+        annotation=kind,
+    )
+
+
 def command(
     *functions: Callable[..., Any],
     resumes: bool = True,
     needs_mujoco: bool = True,
     left_out: Sequence[str] = (),
     needed: Sequence[str] = (),
+    everyday: str = "",
     **kinds: Any,
 ) -> Callable[[Callable[..., int | None]], Command]:
     """A decorator that makes a `Command` of what it does."""
-    return lambda run: Command(run, functions, kinds, resumes, needs_mujoco, left_out, needed)
+    return lambda run: Command(
+        run, functions, kinds, resumes, needs_mujoco, left_out, needed, everyday
+    )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -191,10 +265,10 @@ class Group:
     def options(self) -> type[Options]:
         """The class of its options: `action`, those of the command that is meant."""
         kinds = (
-            Annotated[each.options, tyro.conf.subcommand(name)]
+            Annotated[each.options, tyro.conf.subcommand(name, constructor=each.options.parser)]
             for name, each in self.actions.items()
         )
-        return dataclasses.make_dataclass(
+        made: Any = dataclasses.make_dataclass(
             "Group",
             [("action", functools.reduce(operator.or_, kinds))],
             bases=(Options,),
@@ -206,6 +280,8 @@ class Group:
                 "needs_mujoco": True,
             },
         )
+        made.parser = made
+        return made
 
 
 def _annotation(parameter: inspect.Parameter, function: Callable[..., Any]) -> Any:

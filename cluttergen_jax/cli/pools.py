@@ -423,15 +423,16 @@ def _left_table(rows: Sequence[Sequence[str]]) -> str:
     import_support,
     sources=Positional[tuple[str, ...]],
     pool=str | None,
-    path=Annotated[str | None, arg(name="support")],
+    support=str | None,
     licence=Annotated[str, arg(aliases=["--license"])],
+    everyday="pool support scale up density mass licence set settings add force jobs",
 )
 def run_import(options: Options) -> int:
     """Import objects as a pool, or a table: OBJ, STL, PLY, GLB, GLTF, DAE, URDF, SDF, MJCF, or `ycb`.
 
     Example: `cluttergen import my_meshes/ --pool mine --scale 0.001`
     """
-    if options.path is not None:
+    if options.support is not None:
         _import_support(options)
         return 0
     if options.pool is None or options.name is not None:

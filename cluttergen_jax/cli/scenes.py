@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     region=str | None,
     keep_out=tuple[str, ...],
     clutter=str | None,
+    everyday="num_scenes pool objects num_objects support region method natural relations seed render out",
 )
 def run_generate(options: Options) -> None:
     """Generate verified cluttered scenes and save them as a bank.
@@ -139,12 +140,12 @@ def run_stats(
       json: print JSON.
     """
     from cluttergen_jax.kept_folder import hold_folder
-    from cluttergen_jax.scene.bank import CARD, read_bank, stats_of, stats_text, write_card
+    from cluttergen_jax.scene.bank import CARD, read_bank, stats_of, write_card
 
     bank = read_bank(path)
     stats = stats_of(bank)
     record = stats.as_json()
-    text = stats_text(bank, stats)
+    text = str(stats)
     if sense:
         found = _sense_of(bank)
         record["sense"] = found.record()
@@ -206,6 +207,7 @@ def run_pull(options: Options) -> None:
             help="place objects by hand (by default of dining, on the paper's table), and keep the scenes."
         ),
     ],
+    everyday="place pool num_objects support region method browser port out",
 )
 def run_view(options: Options) -> None:
     """Look at scenes in a browser: objects, hulls, clouds, attempts, and new scenes when asked for.
@@ -223,7 +225,11 @@ def run_view(options: Options) -> None:
         options.call(view, "without --place", "--place, to make scenes by hand", show=show)
 
 
-@command(render, source=Positional[str])
+@command(
+    render,
+    source=Positional[str],
+    everyday="scenes picture sheet turntable replay film depth segmentation cameras size quality out",
+)
 def run_render(options: Options) -> int:
     """Draw scenes: pictures (PNG), films, contact sheets, and what a camera or a scanner would measure.
 
@@ -247,7 +253,11 @@ def failures_text(failures: Sequence[tuple[str, ClutterGenError]]) -> str:
     return "\n".join([*lines, *(f"Try: {hint}." for hint in hints)])
 
 
-@command(make_dataset, banks=Positional[tuple[str, ...]])
+@command(
+    make_dataset,
+    banks=Positional[tuple[str, ...]],
+    everyday="cameras size form splits num_scenes vary quality out",
+)
 def run_dataset(options: Options) -> None:
     """Make a dataset of views of banks: colour, depth, labels, masks, poses. Rerun to resume.
 

@@ -17,7 +17,7 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_folder
 from cluttergen_jax.kept_folder import hold_folder
 from cluttergen_jax.numerics import with_kept_programs
-from cluttergen_jax.spec import SceneOptions, SceneSpec, spec_of, takes_spec
+from cluttergen_jax.spec import SceneOptions, SceneSpec, in_groups, spec_of, takes_spec
 
 if TYPE_CHECKING:
     from cluttergen_jax.evaluation.comparison import Comparison
@@ -34,6 +34,13 @@ _ROWS = {
 
 @with_kept_programs
 @takes_spec(_ROWS, num_objects=10)
+@in_groups(
+    what="pools",
+    where="supports change",
+    how_many="trials seed",
+    files="checkpoints fresh out",
+    machine="cluster workers",
+)
 def evaluate(
     methods: Sequence[Method | OwnProposer | str] = (),
     pools: Sequence[str] = (),

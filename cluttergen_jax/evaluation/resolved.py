@@ -230,7 +230,7 @@ def train_command(trial: Trial) -> str:
         # Who was trained with more objects fills smaller scenes too; but a pool may have no more.
         words.append(f"--num-objects {trial.num_objects}")
     if trial.spec.max_attempts != DEFAULT_ATTEMPTS:
-        words.append(f"--attempts {trial.spec.max_attempts} --out runs/{_names(trial)[0]}")
+        words.append(f"--max-attempts {trial.spec.max_attempts} --out runs/{_names(trial)[0]}")
     return " ".join(words)
 
 

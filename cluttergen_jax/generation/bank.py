@@ -162,8 +162,8 @@ class BankArrays(struct.PyTreeNode):
         """A specification of all scenes together, to be extended and compiled.
 
         It holds the support, each of the K objects once (as often as a scene has it at most), and the
-        support's cameras. Objects wait far away in the air; `attach_to` and `cg.with_robot` give states in
-        which those of a scene stand. Surfaces are drawn, parts collide; time step, solver and contact
+        support's cameras. Objects wait far away in the air; `attach_to` and `cg.robot.with_robot` give states
+        in which those of a scene stand. Surfaces are drawn, parts collide; time step, solver and contact
         parameters are those of the bank's files. There is no keyframe.
         """
         spec = self.waiting_scene().to_mjspec()

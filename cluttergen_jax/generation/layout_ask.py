@@ -114,7 +114,7 @@ def ask_for_layout(
     show: Callable[[str], None],
     log: Path | None = None,
 ) -> AskedLayout:
-    """A layout of a model without faults; see `cluttergen_jax.ask_layout`.
+    """A layout of a model without faults; see `cluttergen_jax.layout.ask`.
 
     Args:
       name: of the model.

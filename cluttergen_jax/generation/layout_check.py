@@ -303,7 +303,7 @@ class LayoutCheck(NamedTuple):
 
 
 def check_text(data: bytes, options: Mapping[str, Any], found: Pool | None = None) -> LayoutCheck:
-    """All that is wrong with a layout in YAML or JSON (`cluttergen_jax.check_layout`).
+    """All that is wrong with a layout in YAML or JSON (`cluttergen_jax.layout.check`).
 
     Args:
       options: fields of `SceneSpec`, in place of what the layout says.

@@ -43,7 +43,7 @@ def list_layouts() -> dict[str, Path]:
 def read_layout(layout: str | Path, pool: str | Path | None = None) -> SceneSpec:
     """The request that a layout is: a file, or the name of one that comes with the package.
 
-        cluttergen_jax.generate("out", cluttergen_jax.read_layout("breakfast_for_two"))
+        cluttergen_jax.generate("out", cluttergen_jax.layout.read("breakfast_for_two"))
 
     A file has `objects`, names of your own and which objects of the pool each may stand for; `relations`
     between them and other objects of the pool; and, if wanted, `title`, `pool`, `support`, `region`, `poses`,

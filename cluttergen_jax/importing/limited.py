@@ -30,7 +30,7 @@ from typing import Any, TypeVar
 from pebble import ProcessExpired, ProcessPool
 
 from cluttergen_jax.errors import AssetError, ClutterGenError
-from cluttergen_jax.progress import stop_asked
+from cluttergen_jax.progress import hear_phases, stop_asked
 
 T = TypeVar("T")
 _LONGEST_WAIT = 1.0
@@ -71,8 +71,10 @@ class Outcome:
 
 Again = Callable[[Any, str], Any]
 """From a job and the fault by which it was lost to the job that is tried in its stead."""
-Watch = Callable[[list[int]], None]
-"""Hears which jobs are at work, by index."""
+Watch = Callable[[dict[int, str]], None]
+"""Hears which jobs are at work, by index, and what each is at (`progress.say_phase`); "" for nothing said."""
+_MOST_TOLD = 240
+"""Bytes of what a worker is at."""
 
 
 def run_all(
@@ -114,7 +116,7 @@ class Crew:
       limit: seconds of a processor that a job may take, all tries together; None for as long as it likes.
       again: makes the next job.
       most_tries: of a job, where `again` is given.
-      watch: hears, every second or oftener, which jobs are at work, by index.
+      watch: hears, every second or oftener, which jobs are at work, by index, and what each is at.
       is_limited: each may take so much memory as `most_memory` says.
     """
 
@@ -135,6 +137,7 @@ class Crew:
         self._most_tries = most_tries if again is not None else 1
         self._watch = watch
         self._start = (function.__module__, is_limited)
+        self._phases: dict[ProcessPool, Any] = {}
         self._idle: list[ProcessPool] = []
         self._busy: dict[Future[_Done], tuple[ProcessPool, _Task]] = {}
         self._waiting: deque[_Task] = deque()
@@ -155,7 +158,7 @@ class Crew:
                 raise KeyboardInterrupt
             self._hand_out()
             if self._watch is not None:
-                self._watch([task.index for _, task in self._busy.values()])
+                self._watch({task.index: self._phase(pool) for pool, task in self._busy.values()})
             done, _ = wait(self._busy, _LONGEST_WAIT, FIRST_COMPLETED)
             for future, (_, task) in self._busy.items():
                 task.began = task.began or (time.monotonic() if future.running() else 0.0)
@@ -164,11 +167,15 @@ class Crew:
                 if self._is_over(future):
                     yield task.index, task.outcome
 
+    def _phase(self, pool: ProcessPool) -> str:
+        return bytes(self._phases[pool].value).decode(errors="ignore")
+
     def close(self) -> None:
         """Ends the workers, whatever they do."""
         pools = [*self._idle, *(pool for pool, _ in self._busy.values())]
         self._idle.clear()
         self._busy.clear()
+        self._phases.clear()
         for pool in pools:
             pool.stop()
         for pool in pools:
@@ -185,9 +192,14 @@ class Crew:
     def _give(self, task: _Task) -> None:
         if not self._idle:
             context = multiprocessing.get_context("spawn")
-            pool = ProcessPool(1, initializer=_begin, initargs=self._start, context=context)
+            # Without a lock, which a worker that is killed would keep.
+            phase = context.RawArray("c", _MOST_TOLD + 1)
+            start = (*self._start, phase)
+            pool = ProcessPool(1, initializer=_begin, initargs=start, context=context)
+            self._phases[pool] = phase
             self._idle.append(pool)
         pool = self._idle.pop()
+        self._phases[pool].value = b""
         task.began = 0.0
         task.limit = None
         if self._limit is not None:
@@ -281,14 +293,23 @@ class _Done:
     cpu_seconds: float
 
 
-def _begin(module: str, is_limited: bool) -> None:
-    """In a worker, before its first job: settings, and then what the function and its jobs need."""
+def _begin(module: str, is_limited: bool, phase: Any) -> None:
+    """In a worker, before its first job: settings, and then what the function and its jobs need.
+
+    Args:
+      phase: shared with the parent, to which it says what it is at.
+    """
     # pebble's own answer to it waits for the end of whatever library is at work.
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     os.environ.update(_SETTINGS)
     if is_limited:
         limit_memory()
     threading.Thread(target=_end_with_parent, daemon=True).start()
+
+    def hear(text: str) -> None:
+        phase.value = text.encode()[:_MOST_TOLD]
+
+    hear_phases(hear)
     importlib.import_module(module)
 
 

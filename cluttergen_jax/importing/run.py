@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from collections.abc import Callable, Collection, Generator, Mapping, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, field, replace
@@ -47,7 +48,7 @@ from cluttergen_jax.importing.readers.things import SeveralThings
 from cluttergen_jax.importing.scenery import SEVERAL, LeftOut, Limits
 from cluttergen_jax.importing.solo_stability import measured_object
 from cluttergen_jax.physics.log import silent_log
-from cluttergen_jax.progress import Progress
+from cluttergen_jax.progress import Progress, passed_text, say_phase
 
 _JITTER = 1e-5
 """Share of an object's size by which a second try moves the corners that its parts are cut from."""
@@ -98,6 +99,8 @@ def make_job(job: Job) -> ObjectAsset | LeftOut | str:
             # What is larger is left out as furniture, where its unit is sure.
             is_known = job.limits is not None and states_unit(job.source)
             largest = MAX_FURNITURE if is_known else MAX_SIZE
+            again = f" (another try: {job.fault})" if job.num_lost else ""
+            say_phase(f"reading its file{again}")
             shape = read_shape(
                 job.source, job.config.read, largest=largest, is_whole=job.limits is None
             )
@@ -136,6 +139,8 @@ def next_try(job: Job, fault: str) -> Job:
 
 _MOST_NAMED = 4
 """So many objects are named at a time as those at work."""
+_LONG = 5.0
+"""Seconds of one phase that are worth a word."""
 
 
 @dataclass(frozen=True)
@@ -451,10 +456,13 @@ def _make(
             at_once = "on a cluster"
             if config.cluster is None:
                 at_once = f"{min(num_processes, len(jobs))} at a time"
-            progress.say(f"importing {len(jobs)} objects, {at_once}")
-        watch = None if progress is None else partial(_show_at_work, progress, jobs)
+            progress.say(
+                f"importing {len(jobs)} objects, {at_once}; most take some seconds, open or rough scans a "
+                f"minute or more, and each {config.time_limit:g} CPU-seconds at most"
+            )
+        at_work = None if progress is None else _AtWork(progress, jobs)
         try:
-            with closing(_outcomes(jobs, config, watch)) as outcomes:
+            with closing(_outcomes(jobs, config, at_work)) as outcomes:
                 for index, outcome in outcomes:
                     job = jobs[index]
                     cost = Cost(outcome.seconds, outcome.cpu_seconds)
@@ -464,7 +472,8 @@ def _make(
                         reasons[index] = reason
                     elif isinstance(outcome.result, LeftOut):
                         beyond[job.source.name] = outcome.result
-                    say(_line(job.source.name, cost, outcome.result, reason))
+                    longest = "" if at_work is None else at_work.longest(index)
+                    say(_line(job.source.name, cost, outcome.result, reason, longest))
                     if progress is not None:
                         progress.update()
         except KeyboardInterrupt:
@@ -477,9 +486,39 @@ def _make(
     )
 
 
-def _show_at_work(progress: Progress, jobs: Sequence[Job], indices: list[int]) -> None:
-    names = [jobs[index].source.name for index in indices]
-    progress.note(f"at work: {first_names(names, _MOST_NAMED)}")
+class _AtWork:
+    """Shows which objects are at work, what each is at and for how long, and remembers what took longest."""
+
+    def __init__(self, progress: Progress, jobs: Sequence[Job]) -> None:
+        self._progress = progress
+        self._jobs = jobs
+        self._now: dict[int, tuple[str, float]] = {}
+        self._seconds: dict[int, dict[str, float]] = {}
+        self._last = 0.0
+
+    def __call__(self, phases: dict[int, str]) -> None:
+        now = time.monotonic()
+        texts = []
+        for index, phase in phases.items():
+            before, began = self._now.get(index, ("", now))
+            if phase == before:
+                seconds = self._seconds.setdefault(index, {})
+                seconds[phase] = seconds.get(phase, 0.0) + now - max(began, self._last)
+            else:
+                began = now
+                self._now[index] = phase, now
+            name = self._jobs[index].source.name
+            texts.append(f"{name} ({phase}, {passed_text(now - began)})" if phase else name)
+        self._last = now
+        self._progress.note(f"at work: {first_names(texts, _MOST_NAMED)}")
+
+    def longest(self, index: int) -> str:
+        """What an object was at for longest, if that was long, with its seconds."""
+        seconds = self._seconds.pop(index, {})
+        phase = max(seconds, key=lambda each: seconds[each], default="")
+        if not phase or seconds[phase] < _LONG:
+            return ""
+        return f"{passed_text(seconds[phase])} of it {phase}"
 
 
 def _store_result(job: Job, outcome: Outcome) -> str:
@@ -503,9 +542,16 @@ def _hint(outcome: Outcome) -> str:
     return "a mesh without pieces that cross, or of fewer triangles"
 
 
-def _line(name: str, cost: Cost, asset: ObjectAsset | LeftOut | str | None, reason: str) -> str:
-    """One object's line in a log."""
+def _line(
+    name: str,
+    cost: Cost,
+    asset: ObjectAsset | LeftOut | str | None,
+    reason: str,
+    longest: str = "",
+) -> str:
+    """One object's line in a log; `longest` is what it was at for longest."""
     took = f"{cost.seconds:.1f} s, {cost.cpu_seconds:.1f} CPU-seconds"
+    took = f"{took} ({longest})" if longest else took
     if isinstance(asset, LeftOut) and not reason:
         return f"{name}: left out after {took}: {asset.reason}: {asset.detail}"
     if reason or not isinstance(asset, ObjectAsset):

@@ -22,6 +22,7 @@ from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.native import NativePhysics
+from cluttergen_jax.progress import say_phase
 from cluttergen_jax.types import Verdict
 
 MAX_GAP = 0.003
@@ -93,6 +94,7 @@ def solo_stability(
     Args:
       engine: of the object alone, if there is one already.
     """
+    say_phase(f"letting it settle {trials} times")
     engine = engine or _engine(asset)
     poses = solo_poses(asset, engine.layout.top, trials, seed)
     everywhere = np.ones(trials, bool)

@@ -448,11 +448,19 @@ class EpisodeRecorder:
     rollouts: dict[Look, Rollout] = field(default_factory=dict)
 
     @with_own_settings
-    def record(self, seed: int, index: int, title: str = "", num_proposals: int = 0) -> Replay:
+    def record(
+        self,
+        seed: int,
+        index: int,
+        title: str = "",
+        num_proposals: int = 0,
+        last_only: bool = False,
+    ) -> Replay:
         """Scene number `index` of `seed`, as `placement.rollout.sample_blocks` makes it.
 
         Args:
           num_proposals: actions that are drawn anew at every attempt, to see how they are distributed.
+          last_only: draw them at the first attempt of the last object's last turn alone: each costs seconds.
         """
         row = index % self.width
         places = index - row + np.arange(self.width)
@@ -466,15 +474,12 @@ class EpisodeRecorder:
             lambda _, seen: steps.append(jax.tree.map(lambda leaf: leaf[row], seen)),
         )
         after = steps[-1][1]
-        # Hundreds of proposals for each attempt take seconds.
-        shown = track(steps, "proposals", len(steps), "attempt") if num_proposals else steps
         attempts = []
         # A pile has no attempts that could be shown one after another.
-        for before, later, transition in () if self.sampler.is_whole else shown:
-            proposals = self._proposals(before, seed, num_proposals)
-            attempt = Attempt.of(before, transition, transition.settling, proposals)
+        for before, later, transition in () if self.sampler.is_whole else steps:
+            attempt = Attempt.of(before, transition, transition.settling)
             attempts.append(replace(attempt, gathered=self._poses_after_crowd(attempt, later)))
-        return Replay(
+        made = Replay(
             title=title or f"seed {seed}, scene {index}",
             objects=self.world.objects,
             names=self.world.names,
@@ -490,6 +495,16 @@ class EpisodeRecorder:
             timestep=self.sampler.rules.physics.config.timestep,
             seat=seat_of(self.sampler.rules.config),
         )
+        if not (num_proposals and attempts):
+            return made
+        # Hundreds of proposals for each attempt take seconds.
+        shown = track(range(len(attempts)), "proposals", len(attempts), "attempt")
+        if last_only:
+            shown = iter([attempts.index(made.last_turn(attempts[-1].object_index)[0])])
+        for place in shown:
+            proposals = self._proposals(steps[place][0], seed, num_proposals)
+            attempts[place] = replace(attempts[place], proposals=proposals)
+        return replace(made, attempts=tuple(attempts))
 
     def _poses_after_crowd(self, attempt: Attempt, after: Any) -> np.ndarray | None:
         """f32[K, 7]: see `Attempt.gathered`."""
@@ -498,10 +513,8 @@ class EpisodeRecorder:
         poses = np.where(np.asarray(after.is_placed)[:, None], after.poses, attempt.settled)
         return None if np.array_equal(poses, attempt.settled) else poses
 
-    def _proposals(self, before: Any, seed: int, number: int) -> np.ndarray | None:
-        """f32[number, 4] drawn for an episode; None for none."""
-        if not number:
-            return None
+    def _proposals(self, before: Any, seed: int, number: int) -> np.ndarray:
+        """f32[number, 4] drawn for an episode."""
         keys = jax.random.split(new_key(seed), number)
         return np.asarray(self._draw(keys, before))
 

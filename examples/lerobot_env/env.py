@@ -15,7 +15,7 @@ def make_env(n_envs=1, use_async_envs=False, cfg=None):
     """What LeRobot calls: vectors of environments by name and number of a task."""
     kind = gymnasium.vector.AsyncVectorEnv if use_async_envs else gymnasium.vector.SyncVectorEnv
     make = partial(
-        cg.make_robot_env, "place", _bank(), action="joint_delta", cameras=("front", "hand")
+        cg.robot.make_env, "place", _bank(), action="joint_delta", cameras=("front", "hand")
     )
     # Where LeRobot looks for success there is something only with this mode.
     mode = gymnasium.vector.AutoresetMode.SAME_STEP

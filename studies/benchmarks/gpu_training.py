@@ -201,7 +201,7 @@ def _encoder(network: Any, folder: Path, scale: Scale) -> Row:
     if scale.network:
         sizes |= {"num_shapes": 2, "num_held_out": 1, "num_epochs": 1}
     started = time.monotonic()
-    report = cg.pretrain(network.scene_encoder, folder, **sizes)
+    report = cg.training.pretrain(network.scene_encoder, folder, **sizes)
     return {"accuracy": float(report.accuracy), "seconds": time.monotonic() - started}
 
 

@@ -59,7 +59,7 @@ def train_brax(num_attempts: int) -> list[list[float]]:
         policy_hidden_layer_sizes=(64, 64),
         value_hidden_layer_sizes=(64, 64),
     )
-    cg.train_brax(
+    cg.envs.train_brax(
         env,
         num_timesteps=num_attempts,
         num_envs=NUM_ENVS,
@@ -102,7 +102,7 @@ def train_sb3(num_attempts: int) -> list[list[float]]:
             print("sb3", self.rows[-1], flush=True)
 
     torch.set_num_threads(1)
-    envs = cg.make_sb3_env(NUM_ENVS, **TASK, history_stride=0, num_cells=0)
+    envs = cg.envs.make_sb3_env(NUM_ENVS, **TASK, history_stride=0, num_cells=0)
     keep = Keep()
     numbers = {"n_steps": 16, "batch_size": 256, "n_epochs": 8, "gamma": 0.9, "learning_rate": 1e-3}
     PPO("MlpPolicy", envs, **numbers, seed=0, device="cpu").learn(num_attempts, callback=keep)

@@ -48,7 +48,7 @@ def run_episode(env: RobotEnv, seed: int, is_scripted: bool) -> str:
     env.reset(seed=seed)
     env.action_space.seed(seed)
     drawn = (env.action_space.sample() for _ in count())
-    actions = cg.scripted_actions(env) if is_scripted else drawn
+    actions = cg.robot.scripted_actions(env) if is_scripted else drawn
     for action in actions:
         *_, terminated, truncated, info = env.step(action)
         if terminated or truncated:
@@ -80,7 +80,7 @@ def body_of(args: RobotEnvironments, folder: Path) -> str:
     found = cg.load_bank(bank)
     rows = []
     for robot, task, physics in product(args.robots, args.tasks, args.physics):
-        env = cg.make_robot_env(task, found, robot, action="joint_delta", physics=physics)
+        env = cg.robot.make_env(task, found, robot, action="joint_delta", physics=physics)
         costs = [f"{each:.1f}" for each in cost(env)]
         for is_scripted in (False, True):
             ends = Counter(run_episode(env, seed, is_scripted) for seed in range(args.num_episodes))

@@ -40,7 +40,7 @@ class PlacementSet:
     """Queries that placers are compared on: scenes of a pool on a support, one camera a query.
 
     Attributes:
-      camera: `free` draws one for each query; see `cluttergen_jax.placer_data`.
+      camera: `free` draws one for each query; see `cluttergen_jax.placer.data`.
     """
 
     name: str

@@ -4,7 +4,9 @@ import ast
 import inspect
 import json
 import re
+from operator import attrgetter
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -69,8 +71,41 @@ def test_the_options_are_those_of_a_whole_command_line():
 
 @pytest.mark.parametrize("name", cluttergen_jax.__all__)
 def test_every_name_is_there_and_says_what_it_is(name):
-    assert getattr(cluttergen_jax, name).__doc__
-    assert name in dir(cluttergen_jax)
+    found = getattr(cluttergen_jax, name)
+    assert found.__doc__
+    if isinstance(found, ModuleType):
+        assert dir(found) == sorted(found.__all__)
+        assert all(getattr(found, each).__doc__ for each in found.__all__)
+
+
+def test_few_names_are_shown_and_all_of_them_are_public():
+    assert dir(cluttergen_jax) == sorted(cluttergen_jax.__all__)
+    assert len(dir(cluttergen_jax)) <= 45
+
+
+@pytest.mark.parametrize(
+    ("former", "name"),
+    [
+        ("placer_data", "placer.data"),
+        ("make_robot_env", "robot.make_env"),
+        ("ask_layout", "layout.ask"),
+        ("push_bank", "hub.push_bank"),
+        ("stats_of", "stats"),
+        ("SceneBatch", "typing.SceneBatch"),
+    ],
+)
+def test_a_former_name_is_not_shown_and_is_the_same(former, name):
+    assert former not in dir(cluttergen_jax)
+    assert getattr(cluttergen_jax, former) is attrgetter(name)(cluttergen_jax)
+
+
+def test_a_name_that_is_none_is_told_what_was_meant():
+    with pytest.raises(
+        AttributeError, match=r"no attribute 'load_pols'. Did you mean 'load_pool'\?"
+    ):
+        cluttergen_jax.load_pols  # noqa: B018
+    with pytest.raises(AttributeError, match=r"'cluttergen_jax.robot' .*Did you mean 'grasps'\?"):
+        cluttergen_jax.robot.grasp  # noqa: B018
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
@@ -96,7 +131,7 @@ def test_python_and_the_command_line_name_what_each_of_them_knows(tmp_path, monk
         (
             lambda: cluttergen_jax.generate(num_threads=-1),
             "num_threads = -1",
-            ["generate", "--threads", "-1"],
+            ["generate", "--num-threads", "-1"],
         ),
         (lambda: cluttergen_jax.generate(num_scenes=0), "num_scenes = 0", ["generate", "-n", "0"]),
         (
@@ -116,7 +151,7 @@ def test_python_and_the_command_line_name_what_each_of_them_knows(tmp_path, monk
         ),
     ]
     flags = [
-        "--threads -1",
+        "--num-threads -1",
         "--num-scenes 0",
         "--jobs -1",
         "--memory-limit -1.0",

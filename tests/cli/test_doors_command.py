@@ -18,7 +18,7 @@ from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.bank.scene import read_scenes
 
 SETTINGS = ["--objects", "mug", "bowl", "soup_can", "--support", "cupboard"]
-RANDOM = ["--method", "random", "--attempts", "10", "--budget", "200"]
+RANDOM = ["--method", "random", "--max-attempts", "10", "--budget", "200"]
 HITS = {f"door_{side} hits {name}" for side in ("left", "right") for name in ("mug", "soup_can")}
 TRAVEL = 0.322
 """Metres by which the drawer opens."""

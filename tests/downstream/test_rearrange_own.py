@@ -245,9 +245,9 @@ def test_the_command_brings_an_object_of_a_bank_to_where_it_is_wanted(bank, home
         "--num-episodes",
         "1",
     ]
-    assert main([*words, "--out", str(tmp_path), "--threads", "1"]) == 0
+    assert main([*words, "--out", str(tmp_path), "--num-threads", "1"]) == 0
     assert "own, true poses: " in capsys.readouterr().out
     assert (tmp_path / "own" / "episodes.jsonl").is_file()
     words[3] = "put the tall right of the box"
-    assert main([*words, "--out", str(tmp_path), "--threads", "1"]) != 0
+    assert main([*words, "--out", str(tmp_path), "--num-threads", "1"]) != 0
     assert "another goals" in capsys.readouterr().err

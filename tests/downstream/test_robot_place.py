@@ -163,7 +163,7 @@ def test_the_command_moves_objects_and_says_how_it_went(bank, home, tmp_path, ca
         "2",
         "--out",
         str(tmp_path),
-        "--threads",
+        "--num-threads",
         "1",
     ]
     assert main(words) == 0

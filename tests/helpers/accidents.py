@@ -101,7 +101,7 @@ COMMANDS = {
         module="studies.perception",
     ),
     "robot grasps": Command("robot grasps {pool} --num-grasps 4", home=True),
-    "rearrange": Command("rearrange --num-episodes 2 --no-films --threads 1 --out out"),
+    "rearrange": Command("rearrange --num-episodes 2 --no-films --num-threads 1 --out out"),
 }
 
 

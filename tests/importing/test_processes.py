@@ -15,6 +15,7 @@ import pytest
 
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.importing.limited import Crew, run_all
+from cluttergen_jax.progress import say_phase
 
 
 def reciprocal(number):
@@ -42,6 +43,14 @@ def spin_named(folder):
     end("spin")
 
 
+def cut(file):
+    """Says what it is at, and waits until a file is there, which shows that it was heard."""
+    say_phase(f"cutting {file.name}")
+    while not file.exists():
+        time.sleep(0.01)
+    return "done"
+
+
 def plain(job, fault):
     """A second job in the place of one that was lost."""
     return f"second try after: {fault}"
@@ -60,6 +69,27 @@ def outcomes(jobs, **options):
         return dict(crew.outcomes(jobs))
     finally:
         crew.close()
+
+
+def test_a_worker_says_what_it_is_at(tmp_path):
+    heard = []
+
+    def watch(phases):
+        heard.append(phases)
+        for phase in phases.values():
+            if phase:
+                (tmp_path / phase.removeprefix("cutting ")).touch()
+
+    crew = Crew(cut, 2, watch=watch)
+    try:
+        done = dict(crew.outcomes([tmp_path / "cup", tmp_path / "scan"]))
+    finally:
+        crew.close()
+    assert [done[index].result for index in (0, 1)] == ["done", "done"]
+    assert {phase for phases in heard for phase in phases.items() if phase[1]} == {
+        (0, "cutting cup"),
+        (1, "cutting scan"),
+    }
 
 
 def test_a_crash_costs_only_its_own_job():

@@ -80,3 +80,16 @@ def test_attempts_begin_where_proposed_and_hang_together(problem, recordings):
             )
             expected = attempt.settled if attempt.is_stable else attempt.poses
             np.testing.assert_array_equal(after[there], expected[there])
+
+
+def test_proposals_of_the_last_object_alone_are_those_that_all_attempts_have(problem, sampler):
+    recorder = EpisodeRecorder(sampler, problem.world, WIDTH)
+    whole = recorder.record(7, 0, num_proposals=5)
+    some = recorder.record(7, 0, num_proposals=5, last_only=True)
+    assert all(each.proposals.shape == (5, 4) for each in whole.attempts)
+    last = some.last_turn(some.attempts[-1].object_index)[0]
+    assert [each for each in some.attempts if each.proposals is not None] == [last]
+    place = some.attempts.index(last)
+    np.testing.assert_array_equal(last.proposals, whole.attempts[place].proposals)
+    for one, other in zip(some.attempts, whole.attempts, strict=True):
+        np.testing.assert_array_equal(one.trajectory, other.trajectory)

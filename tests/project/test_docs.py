@@ -11,6 +11,7 @@ import subprocess
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -24,6 +25,12 @@ TEXTS = [ROOT / "README.md", ROOT / "AGENTS.md", *GUIDES]
 PACKAGES = re.findall(r"reference/python/(\w+)\.md", (ROOT / "mkdocs.yml").read_text())
 OPTIONS = json.loads((ROOT / "tests" / "cli" / "options.json").read_text())
 SUITE_OPTIONS = json.loads((ROOT / "tests" / "studies" / "options.json").read_text())
+
+
+def parts(name):
+    """The names in a module that is a public name of the package; None for any other."""
+    found = getattr(cg, name)
+    return found.__all__ if isinstance(found, ModuleType) else [None]
 
 
 def blocks(path, language):
@@ -48,6 +55,7 @@ def test_people_need_not_read_much():
 
 @pytest.mark.parametrize("path", TEXTS, ids=lambda path: path.stem)
 def test_code_of_a_page_names_what_there_is(path):
+    modules = {f"cg.{name}": parts(name) for name in cg.__all__ if parts(name) != [None]}
     for block in blocks(path, "python"):
         if block.startswith("class Physics(Protocol)"):
             continue
@@ -55,12 +63,12 @@ def test_code_of_a_page_names_what_there_is(path):
             if isinstance(node, ast.ImportFrom) and node.module.startswith("cluttergen_jax"):
                 module = importlib.import_module(node.module)
                 assert all(hasattr(module, name.name) for name in node.names), ast.unparse(node)
-            if (
-                isinstance(node, ast.Attribute)
-                and isinstance(node.value, ast.Name)
-                and node.value.id == "cg"
-            ):
-                assert node.attr in cg.__all__
+            if isinstance(node, ast.Attribute):
+                name = ast.unparse(node.value)
+                if name == "cg":
+                    assert node.attr in cg.__all__
+                elif name in modules:
+                    assert node.attr in modules[name]
 
 
 @pytest.mark.parametrize("path", TEXTS, ids=lambda path: path.stem)
@@ -93,10 +101,12 @@ def test_links_lead_to_pages_and_headings():
 
 def test_every_public_name_is_in_the_reference():
     documented = re.findall(
-        r"^::: cluttergen_jax\.(\w+)$", (DOCS / "reference" / "api.md").read_text(), re.M
+        r"^::: cluttergen_jax\.([\w.]+)$", (DOCS / "reference" / "api.md").read_text(), re.M
     )
     assert len(documented) == len(set(documented))
-    assert set(documented) == set(cg.__all__)
+    assert set(documented) == {
+        name if each is None else f"{name}.{each}" for name in cg.__all__ for each in parts(name)
+    }
 
 
 def test_every_page_of_the_menu_exists():
@@ -111,6 +121,15 @@ def test_every_page_of_the_menu_exists():
         packages < set(menu) <= written | set(made.values()) | packages | {"reference/commands.md"}
     )
     assert all((ROOT / source).is_file() for source in made if not source.startswith("reports/"))
+
+
+def test_the_search_finds_guides_before_references():
+    """A title counts 1000 times as much as a word of a text (mkdocs-material)."""
+    pytest.importorskip("mkdocs", reason="needs the extra docs")
+    boost_of = runpy.run_path(str(DOCS / "site_pages.py"))["boost_of"]
+    for guide in ("guide/export.md", "start.md", "tutorials/04_bank.md", "index.md", "contract.md"):
+        assert boost_of(guide) > boost_of("reference/commands.md")
+        assert boost_of(guide) > 1000 * boost_of("reference/python/scene.md")
 
 
 @pytest.fixture(scope="module")
@@ -226,6 +245,11 @@ def test_code_in_a_text_stays_code():
 def test_the_site_has_its_pages(site):
     pages = {str(path.relative_to(site)) for path in site.rglob("*.html")}
     assert {"index.html", "reference/api/index.html", "reference/commands/index.html"} <= pages
+    entries = json.loads((site / "search" / "search_index.json").read_text())["docs"]
+    boosts = {each["location"]: each.get("boost", 1) for each in entries}
+    assert (
+        boosts["guide/export/"] > boosts["reference/commands/"] > boosts["reference/python/scene/"]
+    )
     assert "make_sampler" in (site / "reference" / "api" / "index.html").read_text()
     commands = (site / "reference" / "commands" / "index.html").read_text()
     assert all(

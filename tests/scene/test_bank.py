@@ -126,7 +126,7 @@ def test_verify_sees_a_scene_that_does_not_stand(bank, tmp_path, capsys):
         (["--keep-out", "1,2"], "X,Y,W,D"),
         (["--keep-out", "0,0,9,9"], "leave some"),
         (["--max-files", "-3"], "0 or more"),
-        (["--threads", "99999999"], "0 to 4096"),
+        (["--num-threads", "99999999"], "0 to 4096"),
         (["--num-scenes", "0"], "1 to"),
         (["--start", "nowhere:0"], "not a bank"),
         (["--objects", "mug"], "no object"),

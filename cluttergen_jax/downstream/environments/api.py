@@ -111,7 +111,7 @@ def scripted_actions(env: RobotEnv, seed: int = 0) -> Iterator[np.ndarray]:
     """The actions of a planner that knows the state, for the episode that `env` has just begun.
 
         env.reset(seed=0)
-        for action in cg.scripted_actions(env):
+        for action in cg.robot.scripted_actions(env):
             observation, reward, terminated, truncated, info = env.step(action)
 
     It plans and runs the motion of `robot place`, or of `rearrange`, in a copy of the simulation, and then

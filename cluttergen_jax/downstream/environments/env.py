@@ -117,7 +117,7 @@ Info = dict[str, Any]
 
 
 class RobotEnv(gymnasium.Env):
-    """One robot in the scenes of a bank; made by `cg.make_robot_env`, which says what it does.
+    """One robot in the scenes of a bank; made by `cg.robot.make_env`, which says what it does.
 
     Observations, f32, metres and radians, world frame, quaternions wxyz:
 

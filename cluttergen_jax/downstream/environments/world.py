@@ -257,7 +257,7 @@ def with_robot(
 ) -> RobotWorld:
     """Puts a robot and all objects of a bank into one model, with resets of both. Extra `robot`.
 
-        world = cg.with_robot(cg.load_bank("bank"), physics="learning")
+        world = cg.robot.with_robot(cg.load_bank("bank"), physics="learning")
         states = jax.vmap(world.reset)(jax.random.split(jax.random.key(0), 1024))
 
     "accurate" is what `robot place` uses: convex parts of the arm, elliptic cones, 1/960 s. "learning" is for
@@ -293,7 +293,7 @@ def with_robot(
         raise ConfigError(
             f"randomization = {randomization!r}",
             "None or a RandomizationConfig",
-            "cg.RandomizationConfig()",
+            "cg.robot.RandomizationConfig()",
         )
     found = find_robot(robot)
     contact = bank.waiting_scene().contact

@@ -155,7 +155,7 @@ def placer_eval(
     """Compares placers: the success rate of their proposals (`cluttergen placer eval`).
 
     Args:
-      data: a folder that `placer_data` made.
+      data: a folder that `placer.data` made.
       placers: "random", "geometry", "geometry-occupied", folders of trained ones, and "drop", "guided" and
         "policy", which see the scene itself; in Python also your own
         (`cluttergen_jax.downstream.placer.query.PlainPlacer`, or `Placer` in JAX).
@@ -235,7 +235,7 @@ def placer_train(
       show: is given the lines that tell how far the run is.
 
     Returns:
-      The placer's folder: `find_placer` and `placer_eval` take it.
+      The placer's folder: `find_placer` and `placer.eval` take it.
 
     Raises:
       ConfigError: a setting is out of range, there are no pairs, or the folder holds another run.

@@ -371,7 +371,7 @@ def write_pairs(
     num_threads: int = 0,
     overwrite: bool = False,
 ) -> PairSet:
-    """The pairs of one split in a folder, begun or continued; see `cluttergen_jax.placer_data`."""
+    """The pairs of one split in a folder, begun or continued; see `cluttergen_jax.placer.data`."""
     path = Path(out)
     scenes = PartialScenes(bank, num_threads)
     num_pairs = scenes.num_queries if num_pairs is None else num_pairs

@@ -75,7 +75,7 @@ class Placer(Protocol):
 class PlainPlacer(Protocol):
     """A placer of NumPy, PyTorch or anything else that is no pytree: called as it is, outside of JAX.
 
-    `placer=` of `robot_place` and `placers` of `placer_eval` take it. An attribute `name` is what rows call
+    `placer=` of `robot.place` and `placers` of `placer.eval` take it. An attribute `name` is what rows call
     it; `own_parts.part_label` says how its rows are told from those of others.
     """
 

@@ -113,7 +113,7 @@ def rearrange(
       observer: true, the true poses; or perception, what cameras over the table and on the hand show, with
         noise (extra `perception`); in Python also one of your own
         (`cluttergen_jax.downstream.rearrange.observe.Observer`), whose attribute `name` is in the table.
-      grasps, planner: your own, as of `robot_place`.
+      grasps, planner: your own, as of `robot.place`.
       segmenter: for `perception`: a folder of `python -m studies.perception train`, or a pool's name
         where one comes with the package; the pool's own if not given.
       noise: for `perception`: factor of the simulated sensor noise; 1 if not given, 0 for none.
@@ -123,7 +123,7 @@ def rearrange(
         one (extra `viewer`); it is the only one that is tried.
       show_layouts: draw each episode's layouts over the scene as it is, on a sheet layouts-NUMBER.png
         beside the rows, the chosen one framed.
-      record, record_format, record_cameras: as of `robot_place`.
+      record, record_format, record_cameras: as of `robot.place`.
       films: draw films of the first success and of the first failure of each kind, in the folder films beside
         the rows; those episodes are run again for it.
       film: "gif", or "mp4" (extra video).

@@ -146,7 +146,7 @@ def robot_place(
         (`cluttergen_jax.downstream.placer.query.PlainPlacer`, or `Placer` in JAX).
       grasps: your own, a Parquet file as `robot grasps` writes or with columns object, pose and width; in
         Python also a mapping from objects' names to poses f[G, 7] (T_object_tool) and widths f[G]
-        (`cluttergen_jax.downstream.robot.protocols`), or what `robot_grasps` returns. Those that were not
+        (`cluttergen_jax.downstream.robot.protocols`), or what `robot.grasps` returns. Those that were not
         tested are used as they are, and named. If not given they are made and tested.
       planner: one of your own for the paths between places
         (`cluttergen_jax.downstream.robot.protocols.PathPlanner`).

@@ -38,7 +38,7 @@ class PathQuery:
 
 
 class PathPlanner(Protocol):
-    """Finds paths; `planner=` of `robot_place` and `rearrange` takes it.
+    """Finds paths; `planner=` of `robot.place` and `rearrange` takes it.
 
     An attribute `name` is what messages call it; `own_parts.part_label` says how its rows are told
     from those of others.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -22,7 +22,7 @@ from cluttergen_jax.generation.files import view_of
 from cluttergen_jax.generation.sources import BankSource, FileSource, ScenesSource, open_source
 from cluttergen_jax.placement import Replay
 from cluttergen_jax.placement.doors import poses_on
-from cluttergen_jax.progress import track
+from cluttergen_jax.progress import track, waiting
 from cluttergen_jax.rendering import PictureConfig, contact_sheet, save_png
 from cluttergen_jax.rendering.config import QUALITIES, FilmConfig, PhotoConfig, Quality
 from cluttergen_jax.rendering.figure import NUM_PROPOSALS, closed_loop_figure, density_figure
@@ -217,7 +217,9 @@ class Rendering:
         attempted = None
         if self._makes("replay", "figure", "density"):
             try:
-                attempted = source.replay(number, NUM_PROPOSALS if self._makes("density") else 0)
+                with work.waiting_for_attempts(self._makes("density")):
+                    num_proposals = NUM_PROPOSALS if self._makes("density") else 0
+                    attempted = source.replay(number, num_proposals, last_only=True)
             except ClutterGenError as error:
                 yield f"{stem.name}, its attempts", error
         try:
@@ -350,6 +352,7 @@ class _Work:
       maker: draws them. coming: numbers of the scenes that are drawn next.
       doors: "open" shows them with those doors open that they close.
       dataset: BOP, which the scenes are added to, if it is asked for.
+      has_replayed: attempts of a scene were made again.
     """
 
     source: SceneSource
@@ -360,6 +363,7 @@ class _Work:
     doors: DoorState = "closed"
     coming: tuple[int, ...] = ()
     dataset: BopScenes | None = None
+    has_replayed: bool = False
     _stills: dict[int, Replay] = field(default_factory=dict)
 
     def draw(
@@ -383,6 +387,14 @@ class _Work:
         for number, recording in self._stills.items():
             if self.dataset is not None:
                 self.dataset.plan(_seen_scene(recording, number))
+
+    def waiting_for_attempts(self, has_proposals: bool) -> AbstractContextManager[None]:
+        """Says, at the first scene, why its attempts take long; and how long those of each take."""
+        drawn = f", and {NUM_PROPOSALS} proposals for the last object" if has_proposals else ""
+        reason = f"a bank keeps how scenes end{drawn}; compiled first, which takes about a minute"
+        is_first = not self.has_replayed
+        self.has_replayed = True
+        return waiting("making attempts again", reason, None if is_first else lambda _: None)
 
     def still(self, number: int) -> Replay:
         """The finished scene."""

@@ -52,7 +52,14 @@ class ReplayContext:
         return "" if any(method == name for name, _ in self._made) else COMPILING
 
     def record(
-        self, method: str, seed: int, index: int, title: str, width: int = 1, num_proposals: int = 0
+        self,
+        method: str,
+        seed: int,
+        index: int,
+        title: str,
+        width: int = 1,
+        num_proposals: int = 0,
+        last_only: bool = False,
     ) -> Replay:
         """Scene number `index` of `seed`, with its attempts; see `EpisodeRecorder.record`."""
         known = self._made.get((method, width))
@@ -66,7 +73,7 @@ class ReplayContext:
         elif known is None:
             known = EpisodeRecorder(sampler_of(self.setup, asked), self.setup.problem.world, width)
         self._made[method, width] = known
-        return known.record(seed, index, title, num_proposals)
+        return known.record(seed, index, title, num_proposals, last_only)
 
 
 def replay_context_of(bank: Bank) -> ReplayContext:
@@ -149,7 +156,12 @@ def _not_recorded(bank: Bank, error: Exception) -> BankError:
 
 
 def replay(
-    bank: Bank, context: ReplayContext, index: int, stored: Replay, num_proposals: int = 0
+    bank: Bank,
+    context: ReplayContext,
+    index: int,
+    stored: Replay,
+    num_proposals: int = 0,
+    last_only: bool = False,
 ) -> Replay:
     """Scene number `index` of a bank with its attempts, made once more; see `EpisodeRecorder.record`.
 
@@ -174,7 +186,7 @@ def replay(
     method = recorded_method(recipe)
     assert method is not None
     seed = int(recipe["seed"])
-    recording = context.record(method, seed, index, stored.title, width, num_proposals)
+    recording = context.record(method, seed, index, stored.title, width, num_proposals, last_only)
     if not _equal(recording, stored):
         made = ", ".join(f"{name} {number}" for name, number in recipe.get("versions", {}).items())
         raise BankError(

@@ -84,19 +84,25 @@ class BankSource:
             seat=self.bank.seat,
         )
 
-    def replay(self, number: int, num_proposals: int = 0) -> Replay:
+    def replay(self, number: int, num_proposals: int = 0, last_only: bool = False) -> Replay:
         """See `SceneSource`.
 
         Raises:
           BankError: there is no such scene, or its attempts cannot be made again.
           PoolError: the bank's checkpoint is gone.
         """
-        return replay(self.bank, self._context, number, self.still(number), num_proposals)
+        return replay(
+            self.bank, self._context, number, self.still(number), num_proposals, last_only
+        )
 
-    def sample(self, method: str, seed: int, num_proposals: int = 0) -> Replay:
+    def sample(
+        self, method: str, seed: int, num_proposals: int = 0, last_only: bool = False
+    ) -> Replay:
         """See `SceneSource`."""
         title = f"{method}, seed {seed}"
-        return self._context.record(method, seed, 0, title, num_proposals=num_proposals)
+        return self._context.record(
+            method, seed, 0, title, num_proposals=num_proposals, last_only=last_only
+        )
 
     @cached_property
     def _context(self) -> ReplayContext:
@@ -147,14 +153,16 @@ class ScenesSource:
             seat=scene.seat,
         )
 
-    def replay(self, number: int, num_proposals: int = 0) -> Replay:
+    def replay(self, number: int, num_proposals: int = 0, last_only: bool = False) -> Replay:
         """Refused: such a scene does not tell how it was made (BankError)."""
         raise BankError(
             f"{self.name}: {self._is_a} does not tell how it was made",
             "a scene of a bank, BANK:INDEX or BANK/scenes/NUMBER.xml",
         )
 
-    def sample(self, method: str, seed: int, num_proposals: int = 0) -> Replay:
+    def sample(
+        self, method: str, seed: int, num_proposals: int = 0, last_only: bool = False
+    ) -> Replay:
         """See `replay`."""
         return self.replay(seed)
 
@@ -236,14 +244,18 @@ class LiveSource:
         """Scene 0 of seed `number`, by the method asked for."""
         return self.replay(number)
 
-    def replay(self, number: int, num_proposals: int = 0) -> Replay:
+    def replay(self, number: int, num_proposals: int = 0, last_only: bool = False) -> Replay:
         """See `still`."""
-        return self.sample(self.methods[0], number, num_proposals)
+        return self.sample(self.methods[0], number, num_proposals, last_only)
 
-    def sample(self, method: str, seed: int, num_proposals: int = 0) -> Replay:
+    def sample(
+        self, method: str, seed: int, num_proposals: int = 0, last_only: bool = False
+    ) -> Replay:
         """See `SceneSource`."""
         title = f"{method}, seed {seed}"
-        return self._context.record(method, seed, 0, title, num_proposals=num_proposals)
+        return self._context.record(
+            method, seed, 0, title, num_proposals=num_proposals, last_only=last_only
+        )
 
 
 def open_source(

@@ -101,7 +101,7 @@ def _check_history(trained: TrainedPlacement, rules: Rules) -> None:
         raise ConfigError(
             f"max_attempts = {rules.config.max_attempts} with a policy trained with {most}",
             range_text(1, most),
-            f"cluttergen train --attempts {rules.config.max_attempts}",
+            f"cluttergen train --max-attempts {rules.config.max_attempts}",
         )
     if rules.config.history_stride != stride:
         raise ConfigError(

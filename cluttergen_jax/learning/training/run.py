@@ -6,6 +6,7 @@ import os
 import time
 import traceback
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -51,6 +52,7 @@ from cluttergen_jax.placement import Problem, Proposer, Rules
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.methods.table import make_proposer
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, BlockSampler, Rollout
+from cluttergen_jax.progress import waiting
 from cluttergen_jax.statistics import wilson
 from cluttergen_jax.types import Array
 
@@ -242,7 +244,8 @@ class Run:
           DivergedError: numbers are not finite any more; the last state whose numbers were is saved.
           KeyboardInterrupt: on Ctrl-C, once everything is saved.
         """
-        state = self.start()
+        with _waiting("preparing", "the first state of all environments, compiled first", show):
+            state = self.start()
         logger = self._logger(int(state.num_updates), show)
         try:
             with interrupt or Interrupt() as interrupt:
@@ -268,8 +271,8 @@ class Run:
         if number >= total:
             logger.complete_policy(state)
             return state
-        logger.say("compiling")
-        updates = interrupt.run_compiling(Updates, self.ppo, state, config.window)
+        with _waiting("compiling", _COMPILING, logger.say):
+            updates = interrupt.run_compiling(Updates, self.ppo, state, config.window)
         seconds = None
         saved = time.monotonic()
         logger.say(f"memory     {check_memory(updates.compiled, config.memory_limit)}")
@@ -329,14 +332,12 @@ class Run:
         asked = getattr(self._evaluate, "num_episodes", 1)
         if agree(logger.num_evaluated >= asked)[0, 0]:
             return
-        logger.say(
-            "evaluating"
-            if self._random is None
-            else "evaluating, beside `random` in the same world"
-        )
-        evaluation = self._evaluate(jax.device_get(state.params))
-        if self._random is not None:
-            evaluation["random"] = self._random()
+        beside = "" if self._random is None else ", beside `random` in the same world"
+        reason = f"{asked} episodes, each with its whole last check{beside}; compiled first"
+        with _waiting("evaluating", reason, logger.say):
+            evaluation = self._evaluate(jax.device_get(state.params))
+            if self._random is not None:
+                evaluation["random"] = self._random()
         logger.add_evaluation(state, evaluation)
         logger.save_policy(state, evaluation)
 
@@ -351,6 +352,16 @@ class Run:
             hint=f"a smaller learning rate with another `out`; the last good state, after "
             f"{int(state.num_updates)} updates, is in {self.folder.path / 'last'}",
         )
+
+
+_COMPILING = (
+    "one update as one program, half a minute on two cores where it was not compiled before"
+)
+
+
+def _waiting(phase: str, reason: str, say: Callable[[str], None]) -> AbstractContextManager[None]:
+    """`progress.waiting` in the process that shows what is done; nothing in the others."""
+    return waiting(phase, reason, say) if is_writer() else nullcontext()
 
 
 def fresh_state(ppo: PPO, key: Any, params: Any) -> TrainState:

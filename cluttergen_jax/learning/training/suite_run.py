@@ -78,7 +78,7 @@ def run_suite(
     suite_list: bool = False,
     show: Callable[[str], None] = print,
 ) -> SuiteReport:
-    """The runs of a suite, one after another; see `cluttergen_jax.train_suite`.
+    """The runs of a suite, one after another; see `cluttergen_jax.training.train_suite`.
 
     Args:
       base: what each run is given but for its own pool, method, seed and so on.

@@ -36,15 +36,20 @@ class SceneSource(Protocol):
         """A scene as it is stored, perhaps without its attempts. Quick."""
         ...
 
-    def replay(self, number: int, num_proposals: int = 0) -> Replay:
+    def replay(self, number: int, num_proposals: int = 0, last_only: bool = False) -> Replay:
         """A scene with its attempts, and with so many other proposals at each of them.
+
+        Args:
+          last_only: only at the first attempt of the last object's last turn.
 
         Raises:
           ClutterGenError: they are not known; it says why.
         """
         ...
 
-    def sample(self, method: str, seed: int, num_proposals: int = 0) -> Replay:
+    def sample(
+        self, method: str, seed: int, num_proposals: int = 0, last_only: bool = False
+    ) -> Replay:
         """A new scene by one of `methods`; see `replay`."""
         ...
 

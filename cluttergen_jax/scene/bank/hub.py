@@ -248,7 +248,7 @@ HUB_VARIABLE = "CLUTTERGEN_HUB"
 def push(
     path: str | Path, name: str, hub: str | None, is_private: bool, allow_outside: bool = False
 ) -> str:
-    """Where a bank is after it was published; see `cluttergen_jax.push_bank`."""
+    """Where a bank is after it was published; see `cluttergen_jax.hub.push_bank`."""
     _check_name(name)
     place = hub_of(hub)
     bank = read_bank(path)
@@ -274,7 +274,7 @@ def pull(
     allow_unchecked: bool = False,
     is_shared: bool = False,
 ) -> Path:
-    """The folder of a bank that was fetched into it; see `cluttergen_jax.pull_bank`.
+    """The folder of a bank that was fetched into it; see `cluttergen_jax.hub.pull_bank`.
 
     Args:
       is_shared: other processes may pull the same at once: of what was not there before, the first is kept.
@@ -337,7 +337,7 @@ def find_bank(path: str | Path, *, hub: str | None = None, revision: str | None 
 
 
 def hub_of(text: str | None) -> Hub:
-    """The hub that an argument names: see `cluttergen_jax.push_bank`."""
+    """The hub that an argument names: see `cluttergen_jax.hub.push_bank`."""
     text = text or os.environ.get(HUB_VARIABLE) or None
     if text is None or text.startswith(("https://", "http://")):
         return HuggingFaceHub(text)

@@ -7,6 +7,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -21,7 +22,7 @@ from cluttergen_jax.placement.clutter import CROWDED, NAMES, Clutter
 from cluttergen_jax.placement.config import PlacementConfig
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.progress import time_text
-from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.record import record_error
 from cluttergen_jax.scene.bank.relation_tally import RelationFailures, RelationTally
 from cluttergen_jax.scene.bank.table import BY_HAND, CERTIFICATE, COUNTED, count_column, rows_of
@@ -382,6 +383,7 @@ class BankStats:
       relations: at which scenes failed, and how often.
       hand_median, hand_total: seconds that a person spent on a scene, and on all; None where none did.
       door_hits: scenes by what a door hit last, such as `door_left hits mug`; None where none are closed.
+      summary: where the bank is, who made it, and its totals, in words.
     """
 
     asked: int
@@ -403,6 +405,11 @@ class BankStats:
     hand_median: float | None = None
     hand_total: float | None = None
     door_hits: dict[str, int] | None = None
+    summary: str = field(default="", repr=False, compare=False)
+
+    def __str__(self) -> str:
+        """What `cluttergen stats` prints."""
+        return _text(self)
 
     @property
     def success_rate(self) -> float:
@@ -424,15 +431,23 @@ class BankStats:
 
     def as_json(self) -> dict[str, object]:
         """JSON values."""
-        return asdict(self)
+        record = asdict(self)
+        del record["summary"]
+        return record
 
 
-def stats_of(bank: Bank) -> BankStats:
-    """The numbers of a bank; it is read some thousand scenes at a time.
+def stats_of(bank: Bank | str | Path) -> BankStats:
+    """What a bank holds, in numbers; printed, a table for people (`cluttergen stats`).
+
+    The bank is read some thousand scenes at a time.
+
+    Args:
+      bank: a bank, its folder or its URL.
 
     Raises:
-      BankError: it holds no scenes yet, or a block is damaged.
+      BankError: there is no bank, it holds no scenes yet, or a block is damaged.
     """
+    bank = bank if isinstance(bank, Bank) else read_bank(bank)
     tally = _Tally(bank)
     for rows in bank.tables():
         tally.add(rows)
@@ -505,6 +520,7 @@ class _Tally:
             hand_median=None if seconds is None else float(np.median(seconds)),
             hand_total=None if seconds is None else float(seconds.sum()),
             door_hits=dict(totals.hits.most_common()) if totals.has_doors else None,
+            summary=_summary(self._bank, totals),
         )
 
     def _look_for_gaps(self, index: np.ndarray) -> None:
@@ -596,10 +612,18 @@ def _duplicates(bank: Bank, index: np.ndarray, digest: np.ndarray) -> tuple[tupl
 
 
 def stats_text(bank: Bank, stats: BankStats) -> str:
-    """The same for people."""
+    """The text of `stats`, which are those of `bank`; `str(stats)` is the same."""
+    return str(stats)
+
+
+def _summary(bank: Bank, totals: Totals) -> str:
     recipe = bank.recipe
     made_by = f"made by {recipe.get('method')} with seed {recipe.get('seed')} of pool {recipe.get('pool')}"
-    lines = [f"bank       {bank.path}, {made_by}", totals_of(bank.tables()).text()]
+    return f"bank       {bank.path}, {made_by}\n{totals.text()}"
+
+
+def _text(stats: BankStats) -> str:
+    lines = [stats.summary]
     lines.append(
         f"verdicts   {', '.join(f'{number} {name}' for name, number in stats.verdicts.items())}"
     )

@@ -274,7 +274,7 @@ class GraspDataset:
 def make(
     bank: Path, num_scenes: int | None, plan: GraspPlan, out: Path, num_threads: int
 ) -> GraspDataset:
-    """A dataset in a folder, begun or continued; see `cluttergen_jax.grasp_dataset`."""
+    """A dataset in a folder, begun or continued; see `cluttergen_jax.robot.dataset`."""
     source = read_bank(bank)
     scenes = list(read_scenes(source))[:num_scenes]
     recipe = {

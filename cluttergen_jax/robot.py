@@ -1,0 +1,50 @@
+"""A robot arm in scenes, as `cluttergen robot`: grasps, episodes, datasets of grasps, environments."""
+
+from typing import TYPE_CHECKING
+
+from cluttergen_jax.lazy import name_space
+
+if TYPE_CHECKING:
+    from cluttergen_jax.downstream.environments.api import make_robot_env as make_env
+    from cluttergen_jax.downstream.environments.api import scripted_actions
+    from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
+    from cluttergen_jax.downstream.environments.world import RobotWorld, with_robot
+    from cluttergen_jax.downstream.robot.api import grasp_dataset as dataset
+    from cluttergen_jax.downstream.robot.api import robot_grasps as grasps
+    from cluttergen_jax.downstream.robot.api import robot_place as place
+    from cluttergen_jax.downstream.robot.description import (
+        RobotDescription,
+        list_robots,
+        read_robot,
+    )
+
+__all__ = [
+    "RandomizationConfig",
+    "RobotDescription",
+    "RobotWorld",
+    "dataset",
+    "grasps",
+    "list_robots",
+    "make_env",
+    "place",
+    "read_robot",
+    "scripted_actions",
+    "with_robot",
+]
+
+__getattr__, __dir__ = name_space(
+    __name__,
+    {
+        "RandomizationConfig": "downstream.environments.randomization:RandomizationConfig",
+        "RobotDescription": "downstream.robot.description:RobotDescription",
+        "RobotWorld": "downstream.environments.world:RobotWorld",
+        "dataset": "downstream.robot.api:grasp_dataset",
+        "grasps": "downstream.robot.api:robot_grasps",
+        "list_robots": "downstream.robot.description:list_robots",
+        "make_env": "downstream.environments.api:make_robot_env",
+        "place": "downstream.robot.api:robot_place",
+        "read_robot": "downstream.robot.description:read_robot",
+        "scripted_actions": "downstream.environments.api:scripted_actions",
+        "with_robot": "downstream.environments.world:with_robot",
+    },
+)
