@@ -103,9 +103,6 @@ def test_another_shelf_and_the_first_one_again(sample, many):
     np.testing.assert_array_equal(first.poses, again.poses)
     scenes = jax.device_get(many(other, keys))
     assert set(other.scene(scenes, 0).names) <= set(other.names)
-    alone = other.scene(keys[0])
-    assert alone.names == other.scene(scenes, 0).names
-    np.testing.assert_allclose(alone.poses, other.scene(scenes, 0).poses, atol=1e-7)
     with pytest.raises(ConfigError, match="scenes of another shelf"):
         sample.scene(scenes, 0)
     for call, message in (
@@ -120,6 +117,16 @@ def test_another_shelf_and_the_first_one_again(sample, many):
     assert copied.names == other.names
     with pytest.raises(ConfigError, match="a sampler with a shelf"):
         cg.make_sampler("dining", num_objects=2, method="clear").reshelve(keys[0])
+
+
+@pytest.mark.slow
+def test_a_key_gives_the_scene_of_its_shelf(sample, many):
+    keys = jax.random.split(jax.random.key(1), 8)
+    for own in (sample, sample.reshelve(jax.random.key(7))):
+        expected = own.scene(jax.device_get(many(own, keys)), 3)
+        alone = own.scene(keys[3])
+        assert alone.names == expected.names
+        np.testing.assert_allclose(alone.poses, expected.poses, atol=1e-7)
 
 
 def test_rows_number_objects_as_the_record_does(bank, twelve):
