@@ -1,4 +1,4 @@
-"""Makes the pictures of docs/guide/pictures.md: python docs/make_photos.py [FOLDER] (ten minutes).
+"""Makes the README's first picture and those of docs/guide/pictures.md: python docs/make_photos.py [FOLDER] (ten minutes).
 
 Banks are made in FOLDER (out/photos), unless they are there. Needs the extra `photo`.
 """
@@ -33,6 +33,15 @@ PAIRS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
 }
 """Caption, look and scene of each pair of `pairs.jpg`."""
+WALL: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("kitchen_day", {"pool": "dining", "natural": True, "crowd": 0.5}),
+    ("office", {"pool": "office", "natural": True, "crowd": 0.5}),
+    ("marble_bar", {"pool": "kitchen", "natural": True, "crowd": 0.5}),
+    ("study_night", {"pool": "study", "natural": True, "crowd": 0.5}),
+    ("linen", {"pool": "household", "crowd": 0.75}),
+    ("terrazzo", {"pool": "all", "num_objects": 24, "crowd": 0.5}),
+)
+"""Look and scene of each picture of the README's first one."""
 
 
 def bank_of(folder: Path, **options: Any) -> Path:
@@ -60,6 +69,18 @@ def save(image: np.ndarray, name: str) -> None:
 def main(out: Path) -> None:
     """Makes all of them."""
     mixed = bank_of(out / "mixed", **MIXED)
+    wall = [
+        draw(
+            bank_of(out / f"wall-{number}", **options),
+            out / "wall",
+            quality="photo",
+            look=look,
+            size=CELL,
+        )
+        for number, (look, options) in enumerate(WALL)
+    ]
+    rows = [np.concatenate(wall[k : k + 3], axis=1) for k in (0, 3)]
+    save(np.concatenate(rows), "wall.jpg")
     both = [
         draw(mixed, out / quality, quality=quality, look="kitchen_day", size=LARGE)
         for quality in ("fine", "photo")
