@@ -66,7 +66,7 @@ class PhotoRenderer:
         scene, albedo, direction = self._scene.load(data, camera, rows, alpha, trails, light_yaw)
         light = np.zeros((rows, camera.width, 4))
         passes = -(-samples // PER_PASS)
-        with Progress("path tracing", passes + 1, "pass") as progress:
+        with Progress("path tracing", passes + 1, "round") as progress:
             for number in range(passes):
                 light += np.asarray(mi.render(scene, spp=PER_PASS, seed=number))
                 progress.update()

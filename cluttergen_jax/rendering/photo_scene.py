@@ -6,6 +6,7 @@ themselves in their colour or in the colour of their direction.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -15,7 +16,7 @@ import mujoco
 import numpy as np
 import trimesh
 
-from cluttergen_jax.assets.mesh import Mesh
+from cluttergen_jax.assets.mesh import Mesh, join_meshes
 from cluttergen_jax.assets.mjcf import VISUAL_GROUP
 from cluttergen_jax.assets.shading import Shaded, linear, shade
 from cluttergen_jax.errors import AssetError, ConfigError
@@ -156,7 +157,7 @@ class PhotoScene:
         is_drawn = model.geom_group == VISUAL_GROUP
         if self._photo.is_cut_out:
             is_drawn &= model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
-        for geom in np.flatnonzero(is_drawn):
+        for geom in np.flatnonzero(is_drawn).tolist():
             opacity = 1.0 if alpha is None else float(alpha[model.geom_bodyid[geom]])
             if opacity > 0:
                 yield self._geom(data, geom, opacity)
@@ -406,12 +407,12 @@ def _mesh(shaded: Shaded, **looks: dict[str, Any]) -> Any:
 
 
 def _tube(trail: Trail) -> Shaded:
-    parts = [
-        trimesh.creation.cylinder(trail.radius, segment=pair, sections=12)
-        for pair in zip(trail.points[:-1], trail.points[1:], strict=True)
-    ]
-    body = trimesh.util.concatenate(parts)
-    return shade(Mesh(np.array(body.vertices), np.array(body.faces)))
+    parts = []
+    for pair in itertools.pairwise(trail.points):
+        body = trimesh.creation.cylinder(trail.radius, segment=np.array(pair), sections=12)
+        parts.append(Mesh(np.array(body.vertices), np.array(body.faces)))
+    joined = join_meshes(parts)
+    return shade(joined)
 
 
 def _faded(surface: dict[str, Any], opacity: float) -> dict[str, Any]:

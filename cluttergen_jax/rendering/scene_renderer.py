@@ -164,12 +164,14 @@ class SceneRenderer:
     def measure(self, styles: Sequence[RenderStyle | None]) -> DepthImage:
         """Depth and labels as OpenGL draws them: see `Renderer.measure`."""
         assert not self.config.smoothing, "smooth edges mix the numbers of what is on either side"
+        renderer = self.model_renderer
+        assert isinstance(renderer, Renderer), "photos measure nothing"
         alpha = self._apply(styles)
-        self.model_renderer.set_size(self.camera.width, self.camera.height)
-        model = self.model_renderer.model
+        renderer.set_size(self.camera.width, self.camera.height)
+        model = renderer.model
         groups = model.geom_group.copy()
         model.geom_group[:] = np.where(alpha[model.geom_bodyid] > 0, groups, HIDDEN_GROUP)
-        depth, geom = self.model_renderer.measure(self.data, self.camera)
+        depth, geom = renderer.measure(self.data, self.camera)
         model.geom_group[:] = groups
         return DepthImage(
             depth, geom, np.where(geom >= 0, self.labels[geom], FLOOR).astype(np.int32)
