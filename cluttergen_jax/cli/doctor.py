@@ -25,6 +25,7 @@ _EXTRAS = {
     "gpu": "warp",
     "viewer": "viser",
     "video": "imageio_ffmpeg",
+    "photo": "mitsuba pyoidn",
     "browser": "selenium",
     "usd": "pxr",
     "hub": "huggingface_hub",
