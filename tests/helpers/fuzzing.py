@@ -50,7 +50,7 @@ from cluttergen_jax.scene.bank.stats import stats_of
 from cluttergen_jax.scene.export.mjcf import scene_xml
 from cluttergen_jax.scene.mjcf_file import read_mjcf_scene
 from cluttergen_jax.sensing.camera import parse_cameras
-from tests.helpers import banks
+from tests.helpers import banks, shiny
 from tests.helpers.fuzzed_files import OWN, plain, without_seal
 from tests.helpers.gltf import skinned
 from tests.helpers.worlds import trio
@@ -250,6 +250,23 @@ def _mesh(suffix: str, kind: str = "", **kwargs: object) -> Reader:
         (folder / f"thing{suffix}").write_bytes(data if isinstance(data, bytes) else data.encode())
 
     return Reader(make, f"thing{suffix}", _read_shapes)
+
+
+def _finished_glb(folder: Path) -> None:
+    """A slab with all that a material of glTF says of a finish."""
+    look = {"roughnessFactor": 0.1, "metallicFactor": 0.5, "metallicRoughnessTexture": {"index": 1}}
+    material = {
+        "pbrMetallicRoughness": look,
+        "normalTexture": {"index": 0, "scale": 0.5},
+        "extensions": {"KHR_materials_transmission": {"transmissionFactor": 0.5}},
+    }
+    shiny.write_glb(folder / "slab.glb", material, images=(shiny.bumps(), shiny.gloss()))
+
+
+def _finished_obj(folder: Path) -> None:
+    """A slab with all that MTL says of a finish."""
+    lines = ("# Blender", "Ks 1 1 1", "Ns 30", "Pm 0.5", "d 0.5", "norm n.png", "map_Pr n.png")
+    shiny.write_obj(folder, *lines, images=[("n.png", shiny.bumps())])
 
 
 def _read_shapes(folder: Path) -> None:
@@ -554,6 +571,9 @@ READERS = {
     ),
     "judged": Reader(_text("thing.xml", MJCF), "thing.xml", _judged),
     "judged_states": Reader(_states, "thing.npz", _judged),
+    "glb_finish": Reader(_finished_glb, "slab.glb", _read_shapes),
+    "mtl_finish": Reader(_finished_obj, "slab.mtl", _read_shapes),
+    "normal_map": Reader(_finished_obj, "n.png", _read_shapes),
     "gltf_skinned": Reader(skinned, "thing.gltf", _read_shapes),
     "stl_ascii": _mesh(".stl", "stl_ascii"),
     "ply_ascii": _mesh(".ply", encoding="ascii"),

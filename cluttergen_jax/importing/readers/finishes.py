@@ -20,7 +20,7 @@ from PIL import Image
 from cluttergen_jax.assets.finish import Finish
 from cluttergen_jax.assets.shape import Texture
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.importing.readers.gltf import TRANSMISSION, Json
+from cluttergen_jax.importing.readers.gltf import TRANSMISSION, Json, object_of
 
 _GLASS = 0.3
 """Alpha of what lets all light through: renderers that know no transmission show it so."""
@@ -35,6 +35,8 @@ _BLUER = 0.1
 _MOST = 0.8
 """Of its pixels."""
 _SIDE = 64
+_STEEPEST = 1000.0
+"""Factor on the slopes of a map of normals."""
 
 Open = Callable[[str], Image.Image]
 """Opens the image that a material names (AssetError: why it cannot be)."""
@@ -62,9 +64,9 @@ class Finisher:
           material: as trimesh has read it. record: as the file has it.
           has_uv: whether maps can lie on the surface.
         """
-        look = _object(record, "pbrMetallicRoughness")
-        bumps = _object(record, "normalTexture")
-        gloss = _object(look, "metallicRoughnessTexture")
+        look = object_of(record, "pbrMetallicRoughness")
+        bumps = object_of(record, "normalTexture")
+        gloss = object_of(look, "metallicRoughnessTexture")
         normal = self._map(material.normalTexture, bumps, "normal map")
         orm = self._map(material.metallicRoughnessTexture, gloss, "map of roughness and metalness")
         numbers = {"roughness": material.roughnessFactor, "metallic": material.metallicFactor}
@@ -148,19 +150,19 @@ class Finisher:
         """A map of normals, its slopes times `scale`; None, with a note, if it cannot be decoded."""
         if image is None:
             return None
-        if not (isinstance(scale, int | float) and math.isfinite(scale)):
+        if (factor := _number(scale)) is None or not abs(factor) <= _STEEPEST:
             self.note(f"the scale {scale} of a normal map is left out")
-            scale = 1.0
+            factor = 1.0
 
         def make() -> Image.Image:
-            if scale == 1:
+            if factor == 1:
                 return image
             values = np.asarray(image.convert("RGB"), np.float64) / 127.5 - 1
-            values[..., :2] *= scale
+            values[..., :2] *= factor
             values /= np.maximum(np.linalg.norm(values, axis=-1, keepdims=True), 1e-6)
             return Image.fromarray(np.rint((values + 1) * 127.5).clip(0, 255).astype(np.uint8))
 
-        return self._texture((image,), ("normal", scale), make)
+        return self._texture((image,), ("normal", factor), make)
 
     def orm(self, roughness: Image.Image | None, metallic: Image.Image | None) -> Texture | None:
         """Both in one map: green of the one, or its grey, and blue of the other; None if there is none.
@@ -211,15 +213,15 @@ class Finisher:
         if use.get("texCoord", 0) != 0:
             self.note(f"a {what} wants other texture coordinates than the first: it is left out")
             return None
-        if "KHR_texture_transform" in _object(use, "extensions"):
+        if "KHR_texture_transform" in object_of(use, "extensions"):
             self.note(f"a {what} is transformed (KHR_texture_transform): that is ignored")
         return image
 
     def _transmission(self, record: Json) -> float:
-        said = _object(_object(record, "extensions"), TRANSMISSION)
-        share = said.get("transmissionFactor", 0.0)
-        if not isinstance(share, int | float):
-            self.note(f"a transmission of {share!r} is left out")
+        said = object_of(object_of(record, "extensions"), TRANSMISSION)
+        share = _number(said.get("transmissionFactor", 0.0))
+        if share is None:
+            self.note("a transmission that is no number is left out")
             return 0.0
         if share and "transmissionTexture" in said:
             self.note("a map of transmission is not kept: its surface is opaque")
@@ -284,12 +286,6 @@ def is_normal_map(image: Image.Image) -> bool:
     return bool((is_normal & is_outwards).mean() > _MOST)
 
 
-def _object(holder: Json, key: str) -> Json:
-    """An object within another one of JSON; an empty one where there is none."""
-    value = holder.get(key)
-    return value if isinstance(value, dict) else {}
-
-
 def _phong_roughness(said: Mapping[str, Any]) -> float | None:
     """The roughness of MTL's `Ks` and `Ns`; None if they say nothing of it."""
     highlights = np.atleast_1d(np.array(said.get("ks", [1.0]), np.float64))
@@ -307,5 +303,5 @@ def _number(value: Any) -> float | None:
     words = value if isinstance(value, list | tuple) else [value]
     try:
         return float(words[0])
-    except (TypeError, ValueError, IndexError):
+    except (TypeError, ValueError, IndexError, OverflowError):
         return None

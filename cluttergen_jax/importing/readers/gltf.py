@@ -86,6 +86,12 @@ def _first(document: Json, key: str) -> Any:
     return None
 
 
+def object_of(holder: Json, key: str) -> Json:
+    """An object within another one; an empty one where there is none."""
+    value = holder.get(key)
+    return value if isinstance(value, dict) else {}
+
+
 def primitives_of(document: Json) -> list[Json]:
     """The surfaces of all meshes."""
     return [each for mesh in document.get("meshes", []) for each in mesh["primitives"]]

@@ -21,6 +21,7 @@ from cluttergen_jax.importing.readers.gltf import (
     extension_notes,
     is_coloured_by_vertices,
     is_white,
+    object_of,
     primitives_of,
     read_document,
 )
@@ -349,7 +350,7 @@ def gltf_notes(path: Path, materials: Sequence[Any]) -> Iterator[str]:
         # A name is optional.
         own = material.get("name")
         name = f"number {index}" if own is None else own
-        look = material.get("pbrMetallicRoughness", {})
+        look = object_of(material, "pbrMetallicRoughness")
         known = read.get(str(index))
         for key, what in _IMAGES_OF_GLTF.items():
             is_named = key in look or key in material
