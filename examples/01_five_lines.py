@@ -7,8 +7,6 @@ import jax
 import numpy as np
 
 import cluttergen_jax as cg
-from cluttergen_jax.rendering.assets import render_scene
-from cluttergen_jax.rendering.sheet import save_png
 
 num_scenes = 256
 num_objects = 10
@@ -44,7 +42,7 @@ print(
 # %%
 scene = sample.scene(scenes, 0)
 model = scene.to_mjspec().compile()
-save_png(render_scene(scene.objects, scene.poses, scene.support, close=True), "scene.png")
+scene.picture(size="640x480").save("scene.png")
 print(f"as a MuJoCo model: {model.nbody - 2} free objects, {model.ngeom} geoms")
 
 # %% [markdown]

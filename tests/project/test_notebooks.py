@@ -1,10 +1,12 @@
 """Notebooks: stored without outputs, begin with a cell for Colab, name what there is, and run."""
 
 import ast
+import base64
 import json
 import re
 import runpy
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -65,6 +67,39 @@ def test_code_of_a_notebook_names_what_there_is(path):
     }
     assert used
     assert used <= set(cg.__all__)
+
+
+def test_the_page_of_a_notebook_has_what_its_cells_show():
+    pytest.importorskip("mkdocs", reason="needs the extra docs")
+    data = b"\x89PNG a picture"
+    outputs = [
+        {"output_type": "stream", "name": "stdout", "text": "printed\n"},
+        {"output_type": "stream", "name": "stderr", "text": "a progress bar"},
+        {"data": {"image/png": base64.b64encode(data).decode(), "text/plain": "<Image>"}},
+        {"data": {"text/html": "<div>a\n\ntable</div>", "text/plain": "Bank(...)"}},
+        {"data": {"text/plain": "'a value'"}},
+    ]
+    cells = [
+        {"cell_type": "markdown", "source": ["# A title\n", "Words."]},
+        {"cell_type": "code", "source": "run()", "outputs": outputs},
+    ]
+    hook = runpy.run_path(str(ROOT / "docs" / "site_pages.py"))
+    add = hook["_add_notebook"]
+    add.__globals__["run_notebook"] = lambda path: {"cells": cells}
+    files = []
+    config = SimpleNamespace(
+        site_dir="site", use_directory_urls=True, plugins=SimpleNamespace(_current_plugin="test")
+    )
+    add(files, config, "docs/notebooks/own_objects.ipynb", "notebooks/own_objects.md")
+    (picture, page) = files
+    assert picture.content_bytes == data
+    text = page.content_string
+    assert text.startswith(
+        "# A title\nWords.\n\n```python\nrun()\n```\n\n```text\nprinted\n```\n\n"
+    )
+    assert f"]({picture.src_uri.removeprefix('notebooks/')})" in text
+    assert "\n\n<div>a  table</div>\n\n```text\n'a value'\n```" in text
+    assert not {"progress", "<Image>", "Bank(...)"} & set(re.split(r"\s", text))
 
 
 @needs_gl
