@@ -77,6 +77,13 @@ COMMANDS = {
     "bop": Command(
         "dataset {bank} --no-colour --form bop --cameras free:2 --size 160x120 --out out"
     ),
+    "coco": Command(
+        "dataset {bank} --form coco --cameras free:2 --size 64x48 --splits train=0.7,val=0.3 --out out",
+        needs_gl=True,
+    ),
+    "yolo": Command(
+        "dataset {bank} --form yolo-seg --cameras free:2 --size 64x48 --out out", needs_gl=True
+    ),
     "render": Command(
         "render {bank} --bop --no-picture --views 1 --size 64x48 --out out", needs_gl=True
     ),
