@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from types import TracebackType
 from typing import Any, TextIO, TypeVar
@@ -37,8 +37,10 @@ class _Ticker:
         threading.Thread(target=self._run, daemon=True).start()
 
     def _run(self) -> None:
-        while not self._is_over.wait(_TICK):
-            self._tick()
+        # Where what is shown to is closed, nobody waits any more.
+        with suppress(ValueError, OSError):
+            while not self._is_over.wait(_TICK):
+                self._tick()
 
     def stop(self) -> None:
         self._is_over.set()
@@ -164,7 +166,9 @@ class Progress:
     def say(self, text: str) -> None:
         """A line that stays."""
         if self._is_log:
-            print(text, file=self._file, flush=True)
+            # In one piece: lines come from a thread as well.
+            self._file.write(f"{text}\n")
+            self._file.flush()
         else:
             self._bar.write(text, file=self._file)
 
@@ -197,7 +201,8 @@ def waiting(
 
     def write(line: str) -> None:
         if is_log:
-            print(line, file=file, flush=True)
+            file.write(f"{line}\n")
+            file.flush()
         else:
             bar.write(line, file=file)
 

@@ -92,7 +92,8 @@ def render(
       turntable: a film once around the scene.
       replay: a film of the placement as it happened, failed attempts in red.
       figure: the closed-loop figure: an object's failed attempts ringed in red, until it is stable.
-      density: where the method would put the object of the last attempt, as a heat map on the table.
+      density: where the method would put the object of the last attempt, as a heat map on the table; some 20
+        seconds of two cores, as the attempts are made again first.
       depth: a 16-bit PNG in millimetres along the optical axis (0: nothing there), and beside it a JSON file
         with the camera, the names and the poses, and all of it in an NPZ file. Depth, segmentation, points
         and bop need no OpenGL; without any, their colours are left out.

@@ -30,6 +30,7 @@ from cluttergen_jax.rendering.gl import check_importable
 INTERRUPTED = 130
 _MANY_OBJECTS = 100_000
 _MOST_COLUMNS = 129
+"""Of a help text: tyro makes a second column of 130 and more."""
 _MOMENT = 0.05
 """Seconds after which a Ctrl-C that came during an import is tried again."""
 _STDIN, _STDOUT, _STDERR = range(3)

@@ -171,7 +171,14 @@ def test_what_is_too_large_is_told_in_one_block(quick_import, capsys):
     block = capsys.readouterr().out.partition("2 left out")[2]
     assert all(
         word in block
-        for word in ("unit_cube", "1.00 x 1.00", "unit_cylinder", "0.6 m", "--max-size", "--take-all")
+        for word in (
+            "unit_cube",
+            "1.00 x 1.00",
+            "unit_cylinder",
+            "0.6 m",
+            "--max-size",
+            "--take-all",
+        )
     )
     # What was taken once lies in the cache, and is beyond the limits as before.
     cube = folder / "objects" / "unit_cube.obj"

@@ -32,7 +32,9 @@ GENERATE = [
 def bank(tmp_path_factory):
     """Four scenes of two objects on a table so small that some fail."""
     path = tmp_path_factory.mktemp("view") / "bank"
-    assert main([*GENERATE, "--out", str(path), "-n", "4", "--max-attempts", "2", "--no-render"]) == 0
+    assert (
+        main([*GENERATE, "--out", str(path), "-n", "4", "--max-attempts", "2", "--no-render"]) == 0
+    )
     return path
 
 
