@@ -1,4 +1,4 @@
-"""Makes the README's first picture and those of docs/guide/pictures.md: python docs/make_photos.py [FOLDER] (ten minutes).
+"""Makes the README's first picture and those of the guide: python docs/make_photos.py [FOLDER] (ten minutes).
 
 Banks are made in FOLDER (out/photos), unless they are there. Needs the extra `photo`.
 """
@@ -29,7 +29,7 @@ PAIRS: dict[str, tuple[str, dict[str, Any]]] = {
     "office, in a bin": ("workshop", {"pool": "office", "support": "bin", "method": "pile"}),
     "study, in a bookcase": (
         "study_night",
-        {"pool": "study", "support": "bookcase", "method": "shelves", "num_objects": 12},
+        {"pool": "study", "support": "bookcase", "surface": "all", "num_objects": 12},
     ),
 }
 """Caption, look and scene of each pair of `pairs.jpg`."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -19,7 +20,6 @@ from cluttergen_jax.rendering.camera import corners, drawn_points, fit_camera
 from cluttergen_jax.rendering.config import CameraView, PhotoConfig
 from cluttergen_jax.rendering.furnish import furnish
 from cluttergen_jax.rendering.look import Look
-from cluttergen_jax.rendering.photo import PhotoRenderer, open_photo_renderer
 from cluttergen_jax.rendering.picture import DEFAULT_VIEW, prepare_model
 from cluttergen_jax.rendering.renderer import (
     HIDDEN_GROUP,
@@ -31,6 +31,9 @@ from cluttergen_jax.rendering.renderer import (
 )
 from cluttergen_jax.sensing.camera import Camera
 from cluttergen_jax.sensing.rays import FLOOR, DepthImage, labels_of
+
+if TYPE_CHECKING:
+    from cluttergen_jax.rendering.photo import PhotoRenderer
 
 RED = (0.86, 0.10, 0.12)
 """Of what failed."""
@@ -225,14 +228,20 @@ def open_scene_renderer(
     width = picture.width
     height = picture.height
     reach = set_range(model, content, picture.view, width, height)
-    opened = (
-        open_renderer(model, width, height)
-        if picture.photo is None
-        else open_photo_renderer(model, picture.look, picture.photo)
-    )
-    with opened as model_renderer:
+    with _open_renderer(model, picture) as model_renderer:
         camera = _fit_camera(content, points, picture)
         yield SceneRenderer(model_renderer, data, picture, reach, content, camera)
+
+
+def _open_renderer(
+    model: mujoco.MjModel, picture: PictureConfig
+) -> AbstractContextManager[Renderer | PhotoRenderer]:
+    if picture.photo is None:
+        return open_renderer(model, picture.width, picture.height)
+    # Meshes of primitives are made by a library that takes a while to load.
+    from cluttergen_jax.rendering.photo import open_photo_renderer
+
+    return open_photo_renderer(model, picture.look, picture.photo)
 
 
 def scene_camera(

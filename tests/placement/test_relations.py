@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from types import SimpleNamespace
 
 import jax
@@ -23,7 +24,7 @@ from cluttergen_jax.placement.region import make_region
 from cluttergen_jax.placement.related import RelatedObjects, hold, preference
 from cluttergen_jax.placement.relations import Relation, order_of, parse_relations, parse_roles
 from cluttergen_jax.rendering.config import CameraView
-from cluttergen_jax.scene.bank import read_scenes
+from cluttergen_jax.scene.bank import Bank, read_scenes
 from cluttergen_jax.spec import SceneSpec
 
 
@@ -328,7 +329,8 @@ def test_pictures_look_from_where_left_is_meant():
         (["fork on mug"], CameraView().azimuth),
         ([], CameraView().azimuth),
     ):
-        bank = SimpleNamespace(recipe={"placement": {"relations": relations}, "region": region})
+        recipe = {"placement": {"relations": relations}, "region": region}
+        bank = Bank(Path("bank"), {"recipe": recipe})
         assert view_of(bank).azimuth == pytest.approx(expected)
 
 
