@@ -1,9 +1,11 @@
 """Photos: cameras and outlines as OpenGL's pictures have them, clear glass, and clear errors."""
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
+import cluttergen_jax as cg
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.cli.main import main
@@ -15,6 +17,7 @@ from cluttergen_jax.rendering.furnish import furnish
 from cluttergen_jax.rendering.look import find_look
 from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, open_scene_renderer
 from cluttergen_jax.sensing import FLOOR, Camera, InstanceSensor
+from tests.helpers.placing import write_bank
 
 SIZE = (160, 120)
 
@@ -95,6 +98,23 @@ def test_a_lens_leaves_what_is_far_from_its_focus_soft():
     is_box = seen.label[:, 1:] == 3
     assert is_box.sum() > 500
     assert np.quantile(edges[1][is_box], 0.98) < 0.7 * np.quantile(edges[0][is_box], 0.98)
+
+
+@pytest.mark.slow
+def test_a_dataset_of_photos_has_the_labels_of_drafts(tmp_path):
+    pytest.importorskip("mitsuba", reason="needs the extra photo")
+    bank = write_bank(tmp_path / "bank", 1)
+    views = []
+    for quality in ("draft", "photo"):
+        made = cg.make_dataset(
+            bank, tmp_path / quality, cameras="free", size="64x48", quality=quality, look="studio"
+        )
+        (file,) = made.path.glob("*.parquet")
+        views.append(pq.read_table(file).to_pylist()[0])
+    draft, photo = views
+    assert draft["rgb"] != photo["rgb"]
+    for name in ("label", "depth"):
+        assert draft[name] == photo[name]
 
 
 @pytest.mark.parametrize(
