@@ -308,6 +308,8 @@ class Rendering:
         camera: Camera | None,
     ) -> Iterator[Path]:
         scene = _seen_scene(recording, 0)
+        if picture.photo is not None:
+            picture = replace(picture, photo=PhotoConfig())
         with ViewMaker(picture, is_drawn=is_drawn) as maker:
             maker.place(scene.objects, scene.poses, scene.support)
             view = maker.see(camera)
