@@ -180,7 +180,8 @@ def replay(
     picture = _with_size_of(picture or PictureConfig(samples=8), camera)
     frames = replay_frames(recording, config)
     points = _end_points(recording)
-    mark = seat_mark(recording.region, recording.support, recording.seat)
+    seat = recording.seat if picture.photo is None else ""
+    mark = seat_mark(recording.region, recording.support, seat)
     with open_scene_renderer(recording.objects, recording.support, points, picture) as renderer:
         renderer.camera = camera or renderer.camera
         image = None
@@ -213,7 +214,8 @@ def turntable(
     count = max(2, round(config.fps * config.seconds))
     styles = _standing(recording, recording.poses, recording.is_placed)
     points = _end_points(recording)
-    mark = seat_mark(recording.region, recording.support, recording.seat)
+    seat = recording.seat if picture.photo is None else ""
+    mark = seat_mark(recording.region, recording.support, seat)
     with open_scene_renderer(recording.objects, recording.support, points, picture) as renderer:
         around = turntable_points(renderer.content if picture.whole else points)
         for number in range(count):

@@ -104,6 +104,11 @@ class ViewMaker:
         self._stack.close()
 
     @property
+    def is_photo(self) -> bool:
+        """Whether pictures are photos."""
+        return self._picture.photo is not None
+
+    @property
     def renderer(self) -> SceneRenderer:
         """What draws; there once a scene is placed."""
         assert self._renderer is not None, "nothing is drawn, or no scene is placed"

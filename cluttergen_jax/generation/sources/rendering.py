@@ -451,8 +451,9 @@ def _draw(
 ) -> np.ndarray:
     poses = recording.poses[recording.placed]
     maker.place(_placed_objects(recording), poses, recording.support, coming=coming, look=look)
-    mark = seat_mark(recording.region, recording.support, recording.seat)
-    return maker.picture(camera, mark)
+    # A photo shows nothing that no camera sees.
+    seat = "" if maker.is_photo else recording.seat
+    return maker.picture(camera, seat_mark(recording.region, recording.support, seat))
 
 
 def _seen_scene(recording: Replay, number: int) -> SeenScene:
