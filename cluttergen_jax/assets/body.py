@@ -29,7 +29,7 @@ from cluttergen_jax.assets.solid import Solid, solid_of
 from cluttergen_jax.assets.stances import upright_stance, usual_poses
 from cluttergen_jax.assets.visuals import simplify_pieces
 from cluttergen_jax.errors import AssetError, ConfigError
-from cluttergen_jax.progress import say_phase
+from cluttergen_jax.phases import say_phase
 
 MAX_DEVIATION = 0.05
 MAX_TILT = np.radians(15)

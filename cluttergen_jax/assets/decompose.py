@@ -28,7 +28,7 @@ from cluttergen_jax.assets.settle import upright_turn
 from cluttergen_jax.assets.solid import Solid, Voxels, as_manifold, is_convex, simplify_solid
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.geometry import at_height, cross_2d
-from cluttergen_jax.progress import say_phase
+from cluttergen_jax.phases import say_phase
 
 _HOLE_SHARE = 0.09
 _FACTORS = (1.0, 0.5, 0.2)

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from cluttergen_jax.assets.mesh import Mesh, clean_mesh, join_meshes
 from cluttergen_jax.assets.parts import hull_of
 from cluttergen_jax.errors import AssetError
-from cluttergen_jax.progress import say_phase
+from cluttergen_jax.phases import say_phase
 
 _MAX_PIECES = 64
 _MAX_FACES = 100_000

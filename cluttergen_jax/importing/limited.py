@@ -30,7 +30,8 @@ from typing import Any, TypeVar
 from pebble import ProcessExpired, ProcessPool
 
 from cluttergen_jax.errors import AssetError, ClutterGenError
-from cluttergen_jax.progress import hear_phases, stop_asked
+from cluttergen_jax.phases import hear_phases
+from cluttergen_jax.progress import stop_asked
 
 T = TypeVar("T")
 _LONGEST_WAIT = 1.0
@@ -72,7 +73,7 @@ class Outcome:
 Again = Callable[[Any, str], Any]
 """From a job and the fault by which it was lost to the job that is tried in its stead."""
 Watch = Callable[[dict[int, str]], None]
-"""Hears which jobs are at work, by index, and what each is at (`progress.say_phase`); "" for nothing said."""
+"""Hears which jobs are at work, by index, and what each is at (`phases.say_phase`); "" for nothing said."""
 _MOST_TOLD = 240
 """Bytes of what a worker is at."""
 

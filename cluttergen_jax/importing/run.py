@@ -47,8 +47,9 @@ from cluttergen_jax.importing.readers.source import UpAxis, states_unit
 from cluttergen_jax.importing.readers.things import SeveralThings
 from cluttergen_jax.importing.scenery import SEVERAL, LeftOut, Limits
 from cluttergen_jax.importing.solo_stability import measured_object
+from cluttergen_jax.phases import say_phase
 from cluttergen_jax.physics.log import silent_log
-from cluttergen_jax.progress import Progress, passed_text, say_phase
+from cluttergen_jax.progress import Progress, passed_text
 
 _JITTER = 1e-5
 """Share of an object's size by which a second try moves the corners that its parts are cut from."""

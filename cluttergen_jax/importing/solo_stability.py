@@ -20,9 +20,9 @@ from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shape import Shape
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.phases import say_phase
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.native import NativePhysics
-from cluttergen_jax.progress import say_phase
 from cluttergen_jax.types import Verdict
 
 MAX_GAP = 0.003

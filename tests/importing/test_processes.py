@@ -15,7 +15,7 @@ import pytest
 
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.importing.limited import Crew, run_all
-from cluttergen_jax.progress import say_phase
+from cluttergen_jax.phases import say_phase
 
 
 def reciprocal(number):
