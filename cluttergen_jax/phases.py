@@ -1,4 +1,6 @@
-"""What a process says of its work while another waits for it."""
+"""What a process is at: said where the work is done, heard by whoever waits for it. Needs nothing else."""
+
+from __future__ import annotations
 
 from collections.abc import Callable
 
@@ -11,6 +13,6 @@ def hear_phases(hear: Callable[[str], None]) -> None:
 
 
 def say_phase(text: str) -> None:
-    """What this process begins to do now, for those who wait for it; nobody may be there to hear it."""
+    """What this process begins to do now, for those who wait for it; where somebody does."""
     for hear in _hearers:
         hear(text)

@@ -264,8 +264,10 @@ def _command(name: str, text: str) -> str:
     place = 0
     for title, box in zip(boxes[::2], boxes[1::2], strict=True):
         options = []
+        # What a group is for stands above a line.
+        *purpose, listed = re.split(r"^ *-{10,} *$", box, maxsplit=1, flags=re.MULTILINE)
         # An argument begins its line after two spaces; what is said of it may go on below, further in.
-        for entry in re.findall(r"^  \S.*(?:\n {3,}\S.*)*", box, re.MULTILINE):
+        for entry in re.findall(r"^  \S.*(?:\n {3,}\S.*)*", listed, re.MULTILINE):
             place += 1
             written, *rest = re.split(r"(?<=\S) {2,}|\n", entry.strip(), maxsplit=1)
             flags = re.findall(r"(?<![\w-])--[a-z][\w-]*", written) or [f"--argument-{place}"]
@@ -274,7 +276,8 @@ def _command(name: str, text: str) -> str:
                 options.append(_option(anchor, written, " ".join(rest[0].split())))
         if options and title.strip().endswith(" options"):
             group = title.strip().removesuffix(" options").replace("-", " ")
-            parts.append(f"**{group.capitalize()}**")
+            text = escaped(" ".join(" ".join(purpose).split()))
+            parts.append(f"**{group.capitalize()}** {text}".rstrip())
         parts += options
     return "\n\n".join(parts)
 

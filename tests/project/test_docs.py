@@ -178,7 +178,7 @@ def test_the_site_has_every_character_of_the_help(site, monkeypatch):
     hook = runpy.run_path(str(DOCS / "site_pages.py"))
     for name in COMMANDS:
         for command in [f"{name} {action}" for action in hook["_actions"](name)] or [name]:
-            # Titles of groups, what groups are for, and what `--help` says of itself are in no page.
+            # Titles of groups, and what `--help` says of itself, are in no page.
             _, _, said = hook["_help"](command.split()).partition("\n\n")
             said = re.sub(r"^.*\n *-{10,} *$", "", said, flags=re.MULTILINE)
             for line in said.splitlines():
