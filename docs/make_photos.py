@@ -29,7 +29,7 @@ PAIRS: dict[str, tuple[str, dict[str, Any]]] = {
     "office, in a bin": ("workshop", {"pool": "office", "support": "bin", "method": "pile"}),
     "study, in a bookcase": (
         "study_night",
-        {"pool": "study", "support": "bookcase", "surface": "all", "num_objects": 12},
+        {"pool": "study", "support": "bookcase", "surface": "all"},
     ),
 }
 """Caption, look and scene of each pair of `pairs.jpg`."""
