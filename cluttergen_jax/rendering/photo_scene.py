@@ -316,9 +316,19 @@ class PhotoScene:
 
 
 def shade_geom(model: mujoco.MjModel, geom: int) -> Shaded:
-    """A geom's surface with normals, in the geom's frame; no plane."""
+    """A geom's surface with normals, in the geom's frame; no plane.
+
+    Raises:
+      ConfigError: it is of a kind that has no surface here, such as a height field.
+    """
     if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_MESH:
         kind = mujoco.mjtGeom(model.geom_type[geom])
+        if kind not in _PRIMITIVES:
+            raise ConfigError(
+                f"a photo of {model.geom(geom).name!r}, of type {kind.name}",
+                "meshes, planes, boxes, spheres, ellipsoids, cylinders and capsules",
+                "quality 'fine'",
+            )
         body = _PRIMITIVES[kind](model.geom_size[geom].copy())
         return shade(Mesh(np.array(body.vertices), np.array(body.faces)))
     number = model.geom_dataid[geom]
