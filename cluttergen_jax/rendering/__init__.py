@@ -1,7 +1,7 @@
 """Pictures of objects, supports and scenes.
 
 gl: which OpenGL backend draws here. lighting: light, floor and background. camera: framing. renderer: many
-pictures of one model, averaged. photo, photo_scene: path tracing in its place. picture: one model as an image.
+pictures of one model, averaged. photo, photo_scene: path tracing instead. picture: one model as an image.
 look: how scenes are furnished and lit. surfaces, furnish: images of materials, supports drawn as furniture.
 sheet: contact sheets and files. assets: objects, supports and scenes.
 """
