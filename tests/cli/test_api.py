@@ -15,6 +15,7 @@ from cluttergen_jax.cli.flags import with_flags
 from cluttergen_jax.cli.main import COMMANDS, load, main
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning.policies.embedded import list_policies
+from tests.helpers.banks import two_scenes
 from tests.helpers.error_calls import error_calls
 from tests.helpers.options import options_in
 
@@ -97,6 +98,17 @@ def test_few_names_are_shown_and_all_of_them_are_public():
 def test_a_former_name_is_not_shown_and_is_the_same(former, name):
     assert former not in dir(cluttergen_jax)
     assert getattr(cluttergen_jax, former) is attrgetter(name)(cluttergen_jax)
+
+
+def test_stats_of_a_folder_are_those_of_its_bank_and_print_as_the_command_does(tmp_path, capsys):
+    two_scenes(tmp_path)
+    stats = cluttergen_jax.stats(tmp_path)
+    bank = cluttergen_jax.read_bank(tmp_path)
+    assert stats == cluttergen_jax.stats(bank)
+    assert main(["stats", str(tmp_path)]) == 0
+    assert capsys.readouterr().out == f"{stats}\n" == f"{cluttergen_jax.stats_text(bank, stats)}\n"
+    assert main(["stats", str(tmp_path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out).keys() == stats.as_json().keys()
 
 
 def test_a_name_that_is_none_is_told_what_was_meant():
