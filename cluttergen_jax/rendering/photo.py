@@ -63,21 +63,25 @@ class PhotoRenderer:
 
         # Pixels are square here: a camera whose are not has more or fewer rows, until the end.
         rows = max(1, round(camera.height * camera.K[0, 0] / camera.K[1, 1]))
-        scene, albedo, direction = self._scene.load(data, camera, rows, alpha, trails, light_yaw)
+        scenes = self._scene.load(data, camera, rows, alpha, trails, light_yaw)
         light = np.zeros((rows, camera.width, 4))
         passes = -(-samples // PER_PASS)
         with Progress("path tracing", passes + 1, "round") as progress:
             for number in range(passes):
-                light += np.asarray(mi.render(scene, spp=PER_PASS, seed=number))
+                light += np.asarray(mi.render(scenes.lit, spp=PER_PASS, seed=number))
                 progress.update()
             light /= passes
-            guides = [
+            cover = np.clip(light[..., 3:], 0, 1)
+            albedo, direction, sky = (
                 np.asarray(mi.render(each, spp=_GUIDES, seed=0))[..., :3]
-                for each in (albedo, direction)
-            ]
-            clean = _denoised(light[..., :3], guides[0], 2 * guides[1] - 1)
+                for each in (scenes.albedo, scenes.direction, scenes.sky)
+            )
+            seen = light[..., :3]
+            if not self._photo.is_cut_out:
+                seen = seen + (1 - cover) * sky
+            clean = _denoised(seen, albedo, 2 * direction - 1)
             progress.update()
-        pixels = self._developed(clean, np.clip(light[..., 3:], 0, 1))
+        pixels = self._developed(clean, cover)
         if rows == camera.height:
             return pixels
         image = Image.fromarray(pixels)

@@ -87,6 +87,21 @@ class _Surface(NamedTuple):
     direction: dict[str, Any]
 
 
+class LoadedScene(NamedTuple):
+    """Scenes of Mitsuba that a photo is made of.
+
+    Attributes:
+      lit: surfaces as they reflect light; lamps and sky are not seen directly.
+      albedo, direction: the same surfaces as they guide the removal of noise.
+      sky: what is seen where there is no surface.
+    """
+
+    lit: Any
+    albedo: Any
+    direction: Any
+    sky: Any
+
+
 class PhotoScene:
     """Makes Mitsuba's scenes of a model as it stands; images are loaded once.
 
@@ -110,8 +125,8 @@ class PhotoScene:
         alpha: np.ndarray | None,
         trails: Sequence[Trail],
         light_yaw: float,
-    ) -> tuple[Any, Any, Any]:
-        """The scene as it is lit, and the same whose surfaces show their colour, and their direction.
+    ) -> LoadedScene:
+        """Mitsuba's scenes of all that is seen now.
 
         Args:
           rows: of the picture.
@@ -127,24 +142,29 @@ class PhotoScene:
             "type": "path",
             "max_depth": _MAX_DEPTH,
             "rr_depth": _ROULETTE_DEPTH,
-            "hide_emitters": self._photo.is_cut_out,
+            "hide_emitters": True,
         }
         guide = {"type": "path", "max_depth": 1}
         lit = {
             f"surface-{number}": each.make(bsdf=each.material.surface)
             for number, each in enumerate(surfaces)
         }
-        scenes = [{"integrator": path, "sensor": sensor} | lit | self._light(camera, light_yaw)]
-        for shown in ("albedo", "direction"):
-            shapes = {}
-            for number, each in enumerate(surfaces):
-                colour = each.material.albedo if shown == "albedo" else each.direction
-                shapes[f"surface-{number}"] = each.make(
-                    emitter={"type": "area", "radiance": colour}
-                )
-            scenes.append({"integrator": guide, "sensor": sensor} | shapes)
-        first, second, third = (mi.load_dict({"type": "scene"} | each) for each in scenes)
-        return first, second, third
+        light = self._light(camera, light_yaw)
+        albedo = {}
+        direction = {}
+        for number, each in enumerate(surfaces):
+            for shown, colour in ((albedo, each.material.albedo), (direction, each.direction)):
+                shown[f"surface-{number}"] = each.make(emitter={"type": "area", "radiance": colour})
+        first, *others = (
+            mi.load_dict({"type": "scene", "integrator": integrator, "sensor": sensor} | shapes)
+            for integrator, shapes in (
+                (path, lit | light),
+                (guide, albedo),
+                (guide, direction),
+                (guide, {"sky": light["sky"]}),
+            )
+        )
+        return LoadedScene(first, *others)
 
     def _surfaces(
         self,
