@@ -30,7 +30,7 @@ class QualityConfig:
 QUALITIES: dict[Quality, QualityConfig] = {
     "draft": QualityConfig(1, 4),
     "fine": QualityConfig(32, 0),
-    "photo": QualityConfig(16, 0, is_photo=True),
+    "photo": QualityConfig(12, 0, is_photo=True),
 }
 """A draft has sharp shadows and smooth edges; a fine picture soft shadows, for some ten times the time; a
 photo is traced along paths of light, for some hundred times the time."""

@@ -26,9 +26,9 @@ from cluttergen_jax.rendering.photo_scene import PhotoScene
 from cluttergen_jax.rendering.renderer import Trail
 from cluttergen_jax.sensing.camera import Camera
 
-PER_PASS = 2
+PER_PASS = 4
 """Paths of a pixel between two lines of progress, and between two places where Ctrl-C stops it."""
-_GUIDES = 4
+_GUIDES = 2
 """Places of a pixel at which colours and directions are looked up, which guide the removal of noise."""
 _EXPOSED = 0.8
 """Brightness up to which a picture follows the light; what is brighter fades into white."""

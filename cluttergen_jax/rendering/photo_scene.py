@@ -37,12 +37,15 @@ _SMOOTHEST = 0.05
 """Of rough surfaces: smoother ones are as bright as their lamps in single pixels."""
 _ROUGHNESS = 0.45
 """Of surfaces whose file says nothing: painted things, wood, cardboard."""
+_MATTE = 0.6
 _FROSTED = 0.2
 """Roughness from which glass blurs what is behind it."""
 # Metres: from the camera to the wall behind it; the height of walls; half a side of what has no end.
 _BEHIND = 0.4
 _WALL = 2.7
 _ENDLESS = 30.0
+_SPOT = 1e-4
+"""Sides of triangles on an image, along which maps of normals are turned."""
 _FULL_FRAME = 0.036
 """Metres: the width of a film that f-numbers are meant for."""
 _ROLES = {
@@ -225,16 +228,13 @@ class PhotoScene:
         colour = _colour(rgba[:3])
         if images["rgb"] >= 0:
             colour = self._image(images["rgb"], repeats, rgba[:3])
-        surface: dict[str, Any] = {
-            "type": "principled",
-            "base_color": colour,
-            "roughness": max(_ROUGHNESS if roughness < 0 else roughness, _SMOOTHEST),
-            "metallic": max(metallic, 0.0),
-            "specular": 0.5,
-        }
+        surface = _reflecting(colour, _ROUGHNESS if roughness < 0 else roughness, metallic)
         if images["orm"] >= 0:
-            for channel, name in ((1, "roughness"), (2, "metallic")):
-                factor = surface[name] * np.eye(3)[channel]
+            # A map multiplies both, which are 1 where nothing else is said.
+            numbers = {"roughness": abs(roughness), "metallic": abs(metallic)}
+            surface = _reflecting(colour, 0.0, 1.0)
+            for channel, (name, value) in enumerate(numbers.items(), 1):
+                factor = value * np.eye(3)[channel]
                 surface[name] = self._image(images["orm"], repeats, factor, is_raw=True)
         if images["normal"] >= 0:
             normal = self._image(images["normal"], repeats, np.ones(3), is_raw=True)
@@ -275,12 +275,7 @@ class PhotoScene:
         pixels = np.asarray(covering_texture(wall).image).copy()
         repeat = mi.ScalarTransform4f().scale([2 * room / wall.tile, _WALL / wall.tile, 1])
         image = mi.load_dict({"type": "bitmap", "bitmap": mi.Bitmap(pixels), "to_uv": repeat})
-        surface = {
-            "type": "principled",
-            "base_color": image,
-            "roughness": max(wall.roughness, _SMOOTHEST),
-            "metallic": wall.metallic,
-        }
+        surface = _reflecting(image, wall.roughness, wall.metallic)
         center = self._model.stat.center
         for number in range(4):
             turn = yaw_matrix(number * math.pi / 2)
@@ -364,7 +359,16 @@ def shade_geom(model: mujoco.MjModel, geom: int) -> Shaded:
     # A corner's place in the image: MuJoCo's v runs down it, as Mitsuba's does not.
     corner = model.mesh_facetexcoord[rows].ravel()
     uv = model.mesh_texcoord[place + corner] * [1, -1] + [0, 1]
+    uv += _spread(uv.reshape(-1, 3, 2)).reshape(-1, 2)
     return shade(Mesh(points[faces.ravel()], np.arange(3 * len(faces)).reshape(-1, 3)), uv)
+
+
+def _spread(uv: np.ndarray) -> np.ndarray:
+    """f64[F, 3, 2]: what keeps triangles of one spot of an image from having no direction along it."""
+    sides = uv[:, 1:] - uv[:, :1]
+    is_spot = np.abs(np.linalg.det(sides)) < _SPOT**2 / 100
+    corners = _SPOT * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    return np.where(is_spot[:, None, None], corners, 0.0)
 
 
 def texture_pixels(model: mujoco.MjModel, number: int) -> np.ndarray:
@@ -454,6 +458,19 @@ def _faded(surface: dict[str, Any], opacity: float) -> dict[str, Any]:
 def _colour(rgb: Sequence[float] | np.ndarray) -> dict[str, Any]:
     """A colour as shown (sRGB)."""
     return {"type": "rgb", "value": list(linear([*np.clip(rgb, 0, 1), 1.0])[:3])}
+
+
+def _reflecting(colour: Any, roughness: float, metallic: float) -> dict[str, Any]:
+    """What lets no light through; what is matte is traced in less time."""
+    if roughness >= _MATTE and metallic <= 0:
+        return {"type": "diffuse", "reflectance": colour}
+    return {
+        "type": "principled",
+        "base_color": colour,
+        "roughness": max(roughness, _SMOOTHEST),
+        "metallic": max(metallic, 0.0),
+        "specular": 0.5,
+    }
 
 
 def _glass(rgba: np.ndarray, roughness: float) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from PIL import Image
 
 import cluttergen_jax as cg
 from cluttergen_jax.assets.pool import find_pool
+from cluttergen_jax.assets.shape import Texture
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError, MissingExtraError
@@ -17,6 +18,7 @@ from cluttergen_jax.rendering.furnish import furnish
 from cluttergen_jax.rendering.look import find_look
 from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, open_scene_renderer
 from cluttergen_jax.sensing import FLOOR, Camera, InstanceSensor
+from tests.helpers import shiny
 from tests.helpers.placing import write_bank
 
 SIZE = (160, 120)
@@ -85,6 +87,36 @@ def test_what_stands_behind_glass_is_seen_through_it():
     assert is_glass.sum() > 500
     change = np.abs(behind.astype(int) - alone)[is_glass].mean()
     assert change > 8
+
+
+@pytest.mark.slow
+def test_finishes_are_seen():
+    """The slab, matte, as a mirror, as a mirror with bumps, and with a map that makes it rough again."""
+    pytest.importorskip("mitsuba", reason="needs the extra photo")
+    rough = Texture.of(shiny.gloss(1.0, 1.0))
+    flat = {"normal": None, "has_image": False}
+    slabs = {
+        "matte": shiny.asset(roughness=1.0, metallic=0.0, **flat),
+        "mirror": shiny.asset(roughness=0.05, metallic=1.0, **flat),
+        "bumpy": shiny.asset(roughness=0.05, metallic=1.0, has_image=False),
+        "rough": shiny.asset(roughness=1.0, metallic=1.0, normal=None, orm=rough, has_image=False),
+    }
+    images = {}
+    look = find_look("studio")
+    support = furnish(cuboid_table(), look)
+    for name, slab in slabs.items():
+        poses = poses_of([slab], [(0.0, 0.0)])
+        picture = PictureConfig(*SIZE, 8, look=look, photo=PhotoConfig())
+        points = close_points([slab], poses, None)
+        with open_scene_renderer([slab], support, points, picture) as renderer:
+            image = renderer.picture([RenderStyle(poses[0])]).astype(float).mean(-1)
+            seen = InstanceSensor([slab], support).sense_scene(poses, renderer.camera)
+        images[name] = image[seen.label == 2]
+        # No triangle is black for want of a direction along its image.
+        assert (images[name] < 3).mean() < 0.02
+    assert images["mirror"].mean() < images["matte"].mean() - 20
+    assert np.abs(images["bumpy"] - images["mirror"]).mean() > 5
+    assert np.abs(images["rough"] - images["mirror"]).mean() > 5
 
 
 @pytest.mark.slow
