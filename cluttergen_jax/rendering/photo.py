@@ -6,11 +6,8 @@ model as it stands, and light is the look's (`photo_scene`). The extra `photo` i
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -110,7 +107,8 @@ def open_photo_renderer(
     check_photo(photo)
     import mitsuba as mi
 
-    mi.set_variant(find_variant())
+    # Compiling for a scene of many materials takes longer than what compiled variants save (measured.md).
+    mi.set_variant("scalar_rgb")
     yield PhotoRenderer(model, look, photo)
 
 
@@ -149,36 +147,6 @@ def read_backdrop(background: str, width: int, height: int) -> np.ndarray:
                 f"background {background!r}, which holds no image ({error})", "a PNG or JPEG file"
             ) from error
     return np.asarray(image) / 255.0
-
-
-_FAST = "llvm_ad_rgb"
-_SAFE = "scalar_rgb"
-_TRIAL = """
-import mitsuba as mi
-mi.set_variant({variant!r})
-scene = mi.cornell_box()
-scene["sensor"]["film"].update(width=16, height=16)
-mi.render(mi.load_dict(scene), spp=2)
-"""
-_LONGEST_TRIAL = 60.0
-_WITHOUT_LLVM = "note: LLVM, which makes photos in a third of the time, is missing or too old here"
-
-
-@cache
-def find_variant() -> str:
-    """Mitsuba's variant: the fast one, which needs LLVM, if it draws here; else the plain one.
-
-    It is tried in a process of its own, as it ends the process on processors that LLVM does not fit.
-    """
-    command = [sys.executable, "-c", _TRIAL.format(variant=_FAST)]
-    try:
-        trial = subprocess.run(command, capture_output=True, check=False, timeout=_LONGEST_TRIAL)
-        if trial.returncode == 0:
-            return _FAST
-    except subprocess.TimeoutExpired:
-        pass
-    print(_WITHOUT_LLVM, file=sys.stderr, flush=True)
-    return _SAFE
 
 
 def _denoised(light: np.ndarray, albedo: np.ndarray, normal: np.ndarray) -> np.ndarray:
