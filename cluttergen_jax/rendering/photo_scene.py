@@ -153,8 +153,8 @@ class PhotoScene:
             for number, each in enumerate(surfaces)
         }
         light = self._light(camera, light_yaw)
-        albedo = {}
-        direction = {}
+        albedo: dict[str, Any] = {}
+        direction: dict[str, Any] = {}
         for number, each in enumerate(surfaces):
             for shown, colour in ((albedo, each.material.albedo), (direction, each.direction)):
                 shown[f"surface-{number}"] = each.make(emitter={"type": "area", "radiance": colour})
