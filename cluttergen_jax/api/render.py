@@ -123,9 +123,10 @@ def render(
         `photo`), which takes some 50 CPU-seconds a picture.
       samples: pictures averaged into one, or paths of each pixel of a photo, in place of the quality's.
       look: how scenes are furnished and lit: a name such as "kitchen_day", "random" for any, "plain" for the
-        support's own colours on a grey floor, or a YAML file (docs/guide/pictures.md). Where a look leaves
+        support's own colours on a grey floor, or a YAML file (docs/reference/looks.md). Where a look leaves
         something open, it is drawn for each scene from `seed`. bop is always plain.
-      transparent: of photos: floor, walls and sky are left out, and are clear in the PNG.
+      transparent: of photos: floor, walls and sky are left out, and are clear in the PNG; through glass they
+        are not.
       background: of photos: what is there instead, a colour such as white or #f2efe8, or an image's file.
       depth_of_field: of photos: the f-number of the lens, such as 2.8; all is sharp if not given.
       film: "gif", or "mp4" (extra video).
@@ -176,6 +177,8 @@ def render(
         raise ConfigError(f"quality = {quality!r}", ", ".join(QUALITIES), "quality='draft'")
     plans = parse_cameras(cameras, size) if cameras else ()
     find_look(look)
+    if background is not None and not str(background):
+        raise ConfigError("background = ''", "a colour or the file of an image", "white")
     photo = PhotoConfig(transparent, str(background or ""), depth_of_field)
     if photo != PhotoConfig() and quality != "photo":
         raise ConfigError(
@@ -267,7 +270,7 @@ def make_dataset(
       quality: "draft" has sharp shadows; "fine" soft ones, for some ten times the time; "photo" traces paths
         of light (extra `photo`), for some hundred times the time.
       look: how scenes are furnished and lit: a name, "random" for any, or a YAML file
-        (docs/guide/pictures.md). Where a look leaves something open, it is drawn for each scene.
+        (docs/reference/looks.md). Where a look leaves something open, it is drawn for each scene.
       colour: draw colours, which needs OpenGL, or for photos none; all else needs none.
       seed: of cameras, splits and what varies, 0 to 4294967295.
       cluster: where it is made: "local", Ray on this machine; "auto", the Ray cluster that this machine

@@ -55,8 +55,11 @@ class PhotoConfig:
     f_number: float | None = None
 
     def __post_init__(self) -> None:
-        if self.f_number is not None and not 0.5 <= self.f_number <= 100:
-            raise ConfigError(f"depth_of_field = {self.f_number}", "an f-number, 0.5 to 100", "2.8")
+        is_number = isinstance(self.f_number, int | float) and 0.5 <= self.f_number <= 100
+        if self.f_number is not None and not is_number:
+            raise ConfigError(
+                f"depth_of_field = {self.f_number!r}", "an f-number, 0.5 to 100", "2.8"
+            )
         if self.is_transparent and self.background:
             raise ConfigError("transparent with a background", "one of the two")
 

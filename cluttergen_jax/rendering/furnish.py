@@ -46,7 +46,7 @@ def covering_texture(covering: Covering) -> Texture:
     try:
         with Image.open(covering.of) as image:
             return Texture.of(image)
-    except (OSError, Image.DecompressionBombError) as error:
+    except (AssetError, OSError, Image.DecompressionBombError) as error:
         raise AssetError(f"{covering.of}, an image that cannot be decoded ({error})") from error
 
 

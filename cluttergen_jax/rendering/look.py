@@ -106,7 +106,7 @@ class Look(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     room: Metres = 2.4
     table: TableForm = "legs"
     sky: Sky = Sky()
-    lamps: tuple[Lamp, ...] = (Lamp(),)
+    lamps: Annotated[tuple[Lamp, ...], msgspec.Meta(min_length=1)] = (Lamp(),)
     exposure: Strength = 1.0
     format: Literal[1] = 1
 
@@ -176,7 +176,7 @@ def read_look(path: Path, rng: np.random.Generator) -> Look:
         ) from error
     except SchemaError as error:
         raise ConfigError(
-            f"look {path}: {error}", "docs/guide/pictures.md has an example"
+            f"look {path}: {error}", "docs/reference/looks.md has an example"
         ) from error
     sky = msgspec.structs.replace(look.sky, image=image)
     return msgspec.structs.replace(look, sky=sky, **coverings)
@@ -195,7 +195,7 @@ def _drawn(value: Any, rng: np.random.Generator) -> Any:
     if set(value) == {"one_of"}:
         options = value["one_of"]
         if not isinstance(options, list) or not options:
-            raise SchemaError(f"one_of: {options!r}, where a list is needed")
+            raise SchemaError(f"one_of: {options!r}, where a list of one or more is needed")
         return _drawn(options[int(rng.integers(len(options)))], rng)
     if set(value) == {"between"}:
         try:

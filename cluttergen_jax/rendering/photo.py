@@ -14,6 +14,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 from PIL import Image, ImageColor, ImageOps
+from scipy.ndimage import distance_transform_edt
 
 from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.progress import Progress
@@ -73,9 +74,9 @@ class PhotoRenderer:
                 np.asarray(mi.render(each, spp=_GUIDES, seed=0))[..., :3]
                 for each in (scenes.albedo, scenes.direction, scenes.sky)
             )
-            seen = light[..., :3]
-            if not self._photo.is_cut_out:
-                seen = seen + (1 - cover) * sky
+            seen = light[..., :3] + (1 - cover) * sky
+            if self._photo.is_cut_out:
+                seen = _spread_out(light[..., :3], cover)
             clean = _denoised(seen, albedo, 2 * direction - 1)
             progress.update()
         pixels = self._developed(clean, cover)
@@ -88,7 +89,7 @@ class PhotoRenderer:
         """u8[H, W, 3 or 4], sRGB, of linear light f[H, W, 3], of which a share f[H, W, 1] is in front."""
         if not self._photo.is_cut_out:
             return np.round(255 * _shown(light)).astype(np.uint8)
-        shown = _shown(light / np.maximum(cover, 1e-3))
+        shown = _shown(light)
         if self._photo.is_transparent:
             return np.round(255 * np.concatenate([shown, cover], -1)).astype(np.uint8)
         behind = read_backdrop(self._photo.background, light.shape[1], light.shape[0])
@@ -109,6 +110,8 @@ def open_photo_renderer(
 
     # Compiling for a scene of many materials takes longer than what compiled variants save (measured.md).
     mi.set_variant("scalar_rgb")
+    # Ctrl-C is told by Python alone.
+    mi.set_log_level(mi.LogLevel.Error)
     yield PhotoRenderer(model, look, photo)
 
 
@@ -147,6 +150,19 @@ def read_backdrop(background: str, width: int, height: int) -> np.ndarray:
                 f"background {background!r}, which holds no image ({error})", "a PNG or JPEG file"
             ) from error
     return np.asarray(image) / 255.0
+
+
+def _spread_out(light: np.ndarray, cover: np.ndarray) -> np.ndarray:
+    """f[H, W, 3]: light f[H, W, 3] of things in front, as if they covered their pixels wholly, and beyond.
+
+    So that no edge takes up the darkness of what was left out.
+    """
+    is_covered = cover[..., 0] > 0
+    if not is_covered.any():
+        return light
+    rows, columns = distance_transform_edt(~is_covered, return_distances=False, return_indices=True)
+    whole = light / np.where(cover > 0, cover, 1.0)
+    return np.asarray(whole[rows, columns])
 
 
 def _denoised(light: np.ndarray, albedo: np.ndarray, normal: np.ndarray) -> np.ndarray:

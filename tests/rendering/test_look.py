@@ -69,6 +69,7 @@ def test_what_a_look_leaves_open_is_drawn_from_its_range(tmp_path):
         (LEAST + "room: .nan", "room|nan"),
         (LEAST + "sky: {image: sky.txt}", "sky.txt"),
         (LEAST + "table: round", "round"),
+        (LEAST + "lamps: []", "lamps"),
         ("[1, 2", "YAML"),
         ("about: only words", "top"),
     ],

@@ -155,6 +155,7 @@ def test_a_dataset_of_photos_has_the_labels_of_drafts(tmp_path):
         ({"is_transparent": True, "background": "white"}, "one of the two"),
         ({"f_number": 0.0}, "f-number"),
         ({"f_number": float("nan")}, "f-number"),
+        ({"f_number": "2.8"}, "f-number"),
     ],
 )
 def test_what_a_photo_cannot_be_is_refused(settings, said):
