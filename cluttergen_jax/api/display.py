@@ -63,14 +63,14 @@ def picture_of(scene: Scene, options: Mapping[str, Any]) -> Image.Image:
     _check(asked, "picture", ("camera", *_options_of_render(_NOT_OF_PICTURES)))
     if camera is not None:
         asked["cameras"] = (camera,)
-    return _drawn(scene, asked, picture=True)
+    return _draw_one(scene, asked, picture=True)
 
 
 def sheet_of(source: Bank | Sequence[Scene], options: Mapping[str, Any]) -> Image.Image:
     """See `Bank.sheet`."""
     _check(options, "sheet", _options_of_render(_NOT_OF_SHEETS))
     # `render` adds single pictures of scenes that are named unless it is told not to.
-    return _drawn(source, options, picture=False, sheet=True)
+    return _draw_one(source, options, picture=False, sheet=True)
 
 
 def show(source: Scene | Bank, options: Mapping[str, Any]) -> Viewer | None:
@@ -127,7 +127,7 @@ def html_of(bank: Bank) -> str:
         if value not in (None, "")
     )
     name = html.escape(bank.path.resolve().name)
-    drawn = _drawn_or_why(lambda: sheet_of(bank, {**_SMALL_SHEET, "scenes": scenes}), scenes)
+    drawn = _picture_or_reason(lambda: sheet_of(bank, {**_SMALL_SHEET, "scenes": scenes}), scenes)
     return f"<div><b>Bank {name}</b><table>{cells}</table>{drawn}</div>"
 
 
@@ -137,7 +137,7 @@ def pool_html_of(pool: Pool) -> str:
     about = f"{len(pool)} objects"
     if len(names) < len(pool):
         about += f", of which these are the first {len(names)}"
-    drawn = _drawn_or_why(lambda: _labelled_sheet([pool[name] for name in names]), names)
+    drawn = _picture_or_reason(lambda: _labelled_sheet([pool[name] for name in names]), names)
     return f"<div><b>Pool {html.escape(pool.name)}</b>: {about}{drawn}</div>"
 
 
@@ -179,7 +179,7 @@ def _labelled_sheet(objects: Sequence[ObjectAsset]) -> Image.Image:
     return Image.fromarray(contact_sheet(images, captions, columns=_OBJECT_COLUMNS))
 
 
-def _drawn_or_why(draw: Callable[[], Image.Image], shown: Sequence[Any]) -> str:
+def _picture_or_reason(draw: Callable[[], Image.Image], shown: Sequence[Any]) -> str:
     """A picture as HTML, or why there is none; nothing where there is nothing to show."""
     if not shown:
         return ""
@@ -219,7 +219,7 @@ def _check(options: Mapping[str, Any], verb: str, allowed: Sequence[str]) -> Non
             )
 
 
-def _drawn(source: Any, options: Mapping[str, Any], **products: Any) -> Image.Image:
+def _draw_one(source: Any, options: Mapping[str, Any], **products: Any) -> Image.Image:
     """The one picture that `render` makes of these."""
     from PIL import Image
 

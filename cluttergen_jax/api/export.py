@@ -91,7 +91,7 @@ def export(
             given = f"scenes with the format {format!r}, which takes a whole bank"
             raise ConfigError(given, "a bank", "`cluttergen_jax.generate`")
         return export_scenes(
-            _furnished(_scenes_of(source), look),
+            _furnish_scenes(_scenes_of(source), look),
             out,
             kind,
             overwrite=overwrite,
@@ -122,14 +122,14 @@ def export(
         return export_bank(bank.path, bank.support, objects, indices, out, str(format), overwrite)
     total = len(good_indices(bank) if numbers is None else select_rows(bank, numbers))
     read = read_scenes(bank, numbers)
-    read = _furnished(read, look)
+    read = _furnish_scenes(read, look)
     shown = read if total <= _MANY else track(read, "exporting", total, "scene")
     return export_scenes(
         shown, out, kind, overwrite=overwrite, cameras=tuple(cameras), grasps=grasps
     )
 
 
-def _furnished(scenes: Iterable[Scene], look: str | Path) -> Iterator[Scene]:
+def _furnish_scenes(scenes: Iterable[Scene], look: str | Path) -> Iterator[Scene]:
     """The scenes with their support as a look draws it; ConfigError: there is no such look."""
     from cluttergen_jax.rendering.furnish import furnish
     from cluttergen_jax.rendering.look import find_look

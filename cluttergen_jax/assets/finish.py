@@ -76,7 +76,7 @@ class Finish:
         """The same for OpenGL, from 0 to 1."""
         return round(min(self.exponent / _LARGEST_EXPONENT, 1.0), 6)
 
-    def stored(self) -> StoredFinish:
+    def to_record(self) -> StoredFinish:
         """As it is kept in files."""
         mean = self.without_maps
         return StoredFinish(

@@ -132,14 +132,14 @@ def add_texture(spec: mujoco.MjSpec, texture: Texture | None, folder: str = "") 
     """
     if texture is None:
         return ""
-    name = _add_image(spec, texture, folder)
+    name = add_image(spec, texture, folder)
     if spec.material(name) is None:
         material = spec.add_material(name=name, specular=SPECULAR, shininess=SHININESS)
         material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
     return name
 
 
-def _add_image(spec: mujoco.MjSpec, texture: Texture, folder: str) -> str:
+def add_image(spec: mujoco.MjSpec, texture: Texture, folder: str = "") -> str:
     """Adds an image, once; its name."""
     name = texture.file_name.removesuffix(".png")
     if spec.texture(name) is None:
@@ -167,7 +167,7 @@ def add_material(spec: mujoco.MjSpec, piece: Piece, folder: str = "") -> str:
             setattr(material, key, value)
         for role, image in layers_of(piece).items():
             index = int(getattr(mujoco.mjtTextureRole, f"mjTEXROLE_{role.upper()}"))
-            material.textures[index] = _add_image(spec, image, folder)
+            material.textures[index] = add_image(spec, image, folder)
     return name
 
 

@@ -222,7 +222,9 @@ def _floats(values: Iterable[Any]) -> Any:
 
 def _record(asset: ObjectAsset, contents: dict[str, bytes]) -> dict[str, Any]:
     images = [None if piece.texture is None else piece.texture.file_name for piece in asset.pieces]
-    finishes = [None if piece.finish is None else piece.finish.stored() for piece in asset.pieces]
+    finishes = [
+        None if piece.finish is None else piece.finish.to_record() for piece in asset.pieces
+    ]
     stored = _Stored(
         friction=None if asset.friction is None else float(asset.friction),
         scale=float(asset.scale),

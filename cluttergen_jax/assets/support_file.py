@@ -236,7 +236,7 @@ def _record(support: SupportAsset) -> dict[str, Any]:
                 **(
                     {}
                     if piece.finish is None
-                    else {"finish": _round(msgspec.to_builtins(piece.finish.stored()))}
+                    else {"finish": _round(msgspec.to_builtins(piece.finish.to_record()))}
                 ),
             }
             for index, piece in enumerate(support.pieces)

@@ -286,7 +286,7 @@ class Sampler:
                 raise ConfigError(f"scene {index} of one key", "0", "another key")
             # What another shelf has compiled serves this one, too.
             has_shelf = self.shelves is not None
-            sampled = _sample_shelved(self, sampled) if has_shelf else self._compiled(sampled)
+            sampled = _sample_shelved(self, sampled) if has_shelf else self._program(sampled)
         shape = np.shape(sampled.is_success)
         if len(shape) > 1 or not 0 <= index < (shape[0] if shape else 1):
             nothing = "scenes, of which these are none"
@@ -332,7 +332,7 @@ class Sampler:
         )
 
     @cached_property
-    def _compiled(self) -> Callable[[Array], SceneBatch]:
+    def _program(self) -> Callable[[Array], SceneBatch]:
         return jax.jit(partial(type(self).__call__, self))
 
     def _rectangle(self, region: Region | None) -> Rectangle:

@@ -60,7 +60,7 @@ def furnish(support: SupportAsset, look: Look | None) -> SupportAsset:
         pieces = _table(box, look) if look.table == "legs" else _cabinet(box, look)
     else:
         meshes = [each.mesh for each in support.boxes] + [each.hull() for each in support.parts]
-        pieces = [_covered(mesh, look.top) for mesh in meshes]
+        pieces = [_cover(mesh, look.top) for mesh in meshes]
     return replace(support, pieces=tuple(pieces))
 
 
@@ -157,12 +157,12 @@ def _part(
     body = Mesh.points(np.array(points)).hull()
     size = upper - lower
     along = 2 if upright else int(size[1] > size[0])
-    piece = _covered(body, covering, along)
+    piece = _cover(body, covering, along)
     middle = np.array([*box.center[:2], 0.0])
     return piece.transform(yaw_matrix(box.yaw), middle)
 
 
-def _covered(mesh: Mesh, covering: Covering, along: int = 0) -> Piece:
+def _cover(mesh: Mesh, covering: Covering, along: int = 0) -> Piece:
     """A surface with a covering's image laid on it from the six sides.
 
     Args:

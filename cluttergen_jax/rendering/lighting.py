@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets.mjcf import SHININESS, SPECULAR, VISUAL_GROUP
+from cluttergen_jax.assets.mjcf import SHININESS, SPECULAR, VISUAL_GROUP, add_image
 from cluttergen_jax.rendering.furnish import covering_texture
 from cluttergen_jax.rendering.look import Covering, Lamp, Look
 
@@ -54,12 +54,8 @@ def _mean_colour(covering: Covering) -> tuple[float, float, float]:
 def _add_floor(spec: mujoco.MjSpec, look: Look | None) -> None:
     material = spec.add_material(name=FLOOR, rgba=(*_GROUND, 1.0), specular=0.0, shininess=0.0)
     if look is not None:
-        texture = covering_texture(look.floor)
-        image = spec.add_texture(
-            name=FLOOR, type=mujoco.mjtTexture.mjTEXTURE_2D, file=texture.file_name
-        )
-        spec.assets = {**spec.assets, image.file: texture.data}
-        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = image.name
+        image = add_image(spec, covering_texture(look.floor))
+        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = image
         material.texuniform = True
         material.texrepeat = (1 / look.floor.tile, 1 / look.floor.tile)
         material.rgba = (1.0, 1.0, 1.0, 1.0)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
@@ -19,7 +19,6 @@ from cluttergen_jax.rendering.surfaces import KINDS
 from cluttergen_jax.schema import SchemaError, convert, digest_of, parse_yaml, read_written
 
 LOOKS = Path(__file__).with_name("looks")
-FORMAT = 1
 RANDOM = "random"
 USUAL_LOOK = "studio"
 """Of pictures, unless another is asked for."""
@@ -30,7 +29,6 @@ Rgb = tuple[Share, Share, Share]
 Strength = Annotated[float, msgspec.Meta(ge=0, le=1000)]
 Metres = Annotated[float, msgspec.Meta(ge=0.01, le=100)]
 TableForm = Literal["legs", "cabinet", "block"]
-TABLE_FORMS: tuple[str, ...] = get_args(TableForm)
 _PICTURES = (".png", ".jpg", ".jpeg")
 _SKIES = (*_PICTURES, ".hdr", ".exr")
 
@@ -163,9 +161,9 @@ def read_look(path: Path, rng: np.random.Generator) -> Look:
       ConfigError: as `find_look`.
     """
     try:
-        look = convert(_drawn(parse_yaml(read_written(path)), rng), Look)
+        look = convert(_draw_open_values(parse_yaml(read_written(path)), rng), Look)
         coverings = {
-            part: _checked(covering, part, path.parent)
+            part: _check_covering(covering, part, path.parent)
             for part in ("top", "frame", "floor", "wall")
             if (covering := getattr(look, part)) is not None
         }
@@ -182,21 +180,21 @@ def read_look(path: Path, rng: np.random.Generator) -> Look:
     return msgspec.structs.replace(look, sky=sky, **coverings)
 
 
-def _drawn(value: Any, rng: np.random.Generator) -> Any:
+def _draw_open_values(value: Any, rng: np.random.Generator) -> Any:
     """A value of a file with all that is left open in it chosen.
 
     Raises:
       SchemaError: `one_of` of nothing, or `between` of what is not two numbers or two colours.
     """
     if isinstance(value, list):
-        return [_drawn(each, rng) for each in value]
+        return [_draw_open_values(each, rng) for each in value]
     if not isinstance(value, Mapping):
         return value
     if set(value) == {"one_of"}:
         options = value["one_of"]
         if not isinstance(options, list) or not options:
             raise SchemaError(f"one_of: {options!r}, where a list of one or more is needed")
-        return _drawn(options[int(rng.integers(len(options)))], rng)
+        return _draw_open_values(options[int(rng.integers(len(options)))], rng)
     if set(value) == {"between"}:
         try:
             low, high = (np.asarray(each, np.float64) for each in value["between"])
@@ -206,10 +204,10 @@ def _drawn(value: Any, rng: np.random.Generator) -> Any:
                 f"between: {value['between']!r}, where two numbers or two colours are needed"
             ) from error
         return between.tolist()
-    return {key: _drawn(each, rng) for key, each in value.items()}
+    return {key: _draw_open_values(each, rng) for key, each in value.items()}
 
 
-def _checked(covering: Covering, part: str, folder: Path) -> Covering:
+def _check_covering(covering: Covering, part: str, folder: Path) -> Covering:
     """The covering, its image a path that is there."""
     if covering.of in KINDS:
         return covering

@@ -77,19 +77,19 @@ class PhotoRenderer:
             seen = light[..., :3] + (1 - cover) * sky
             if self._photo.is_cut_out:
                 seen = _spread_out(light[..., :3], cover)
-            clean = _denoised(seen, albedo, 2 * direction - 1)
+            clean = _denoise(seen, albedo, 2 * direction - 1)
             progress.update()
-        pixels = self._developed(clean, cover)
+        pixels = self._develop(clean, cover)
         if rows == camera.height:
             return pixels
         image = Image.fromarray(pixels)
         return np.asarray(image.resize((camera.width, camera.height), Image.Resampling.LANCZOS))
 
-    def _developed(self, light: np.ndarray, cover: np.ndarray) -> np.ndarray:
+    def _develop(self, light: np.ndarray, cover: np.ndarray) -> np.ndarray:
         """u8[H, W, 3 or 4], sRGB, of linear light f[H, W, 3], of which a share f[H, W, 1] is in front."""
         if not self._photo.is_cut_out:
-            return np.round(255 * _shown(light)).astype(np.uint8)
-        shown = _shown(light)
+            return np.round(255 * _to_srgb(light)).astype(np.uint8)
+        shown = _to_srgb(light)
         if self._photo.is_transparent:
             return np.round(255 * np.concatenate([shown, cover], -1)).astype(np.uint8)
         behind = read_backdrop(self._photo.background, light.shape[1], light.shape[0])
@@ -165,7 +165,7 @@ def _spread_out(light: np.ndarray, cover: np.ndarray) -> np.ndarray:
     return np.asarray(whole[rows, columns])
 
 
-def _denoised(light: np.ndarray, albedo: np.ndarray, normal: np.ndarray) -> np.ndarray:
+def _denoise(light: np.ndarray, albedo: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """f32[H, W, 3], linear: light without noise, guided by albedo and normals f[H, W, 3]."""
     import pyoidn
 
@@ -175,7 +175,7 @@ def _denoised(light: np.ndarray, albedo: np.ndarray, normal: np.ndarray) -> np.n
     return np.asarray(pyoidn.denoise(colour, albedo=albedo, normal=normal, hdr=True))
 
 
-def _shown(light: np.ndarray) -> np.ndarray:
+def _to_srgb(light: np.ndarray) -> np.ndarray:
     """f[H, W, 3] in [0, 1]: linear light as sRGB, the brightest faded into white."""
     over = np.maximum(light - _EXPOSED, 0)
     room = 1 - _EXPOSED

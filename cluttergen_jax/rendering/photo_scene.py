@@ -187,7 +187,7 @@ class PhotoScene:
         for trail in trails:
             colour = _colour(trail.rgb)
             surface = {"type": "diffuse", "reflectance": colour}
-            yield _body(_tube(trail), _Material(_faded(surface, trail.alpha), colour))
+            yield _body(_tube(trail), _Material(_with_opacity(surface, trail.alpha), colour))
         if self._look.wall is not None and not self._photo.is_cut_out:
             yield from self._walls(self._look.wall, self._room(camera))
 
@@ -224,15 +224,15 @@ class PhotoScene:
             repeats = _repeats(model, number, size)
         is_clear = rgba[3] < _OPAQUE
         if is_clear and images["rgb"] < 0:
-            return _Material(_faded(_glass(rgba, roughness), opacity), _colour(np.ones(3)))
+            return _Material(_with_opacity(_glass(rgba, roughness), opacity), _colour(np.ones(3)))
         colour = _colour(rgba[:3])
         if images["rgb"] >= 0:
             colour = self._image(images["rgb"], repeats, rgba[:3])
-        surface = _reflecting(colour, _ROUGHNESS if roughness < 0 else roughness, metallic)
+        surface = _opaque_surface(colour, _ROUGHNESS if roughness < 0 else roughness, metallic)
         if images["orm"] >= 0:
             # A map multiplies both, which are 1 where nothing else is said.
             numbers = {"roughness": abs(roughness), "metallic": abs(metallic)}
-            surface = _reflecting(colour, 0.0, 1.0)
+            surface = _opaque_surface(colour, 0.0, 1.0)
             for channel, (name, value) in enumerate(numbers.items(), 1):
                 factor = value * np.eye(3)[channel]
                 surface[name] = self._image(images["orm"], repeats, factor, is_raw=True)
@@ -240,7 +240,7 @@ class PhotoScene:
             normal = self._image(images["normal"], repeats, np.ones(3), is_raw=True)
             surface = {"type": "normalmap", "normalmap": normal, "nested": surface}
         opacity *= rgba[3] if is_clear else 1.0
-        return _Material(_faded({"type": "twosided", "nested": surface}, opacity), colour)
+        return _Material(_with_opacity({"type": "twosided", "nested": surface}, opacity), colour)
 
     def _image(
         self, number: int, repeats: tuple[float, float], factor: np.ndarray, is_raw: bool = False
@@ -275,7 +275,7 @@ class PhotoScene:
         pixels = np.asarray(covering_texture(wall).image).copy()
         repeat = mi.ScalarTransform4f().scale([2 * room / wall.tile, _WALL / wall.tile, 1])
         image = mi.load_dict({"type": "bitmap", "bitmap": mi.Bitmap(pixels), "to_uv": repeat})
-        surface = _reflecting(image, wall.roughness, wall.metallic)
+        surface = _opaque_surface(image, wall.roughness, wall.metallic)
         center = self._model.stat.center
         for number in range(4):
             turn = yaw_matrix(number * math.pi / 2)
@@ -359,11 +359,11 @@ def shade_geom(model: mujoco.MjModel, geom: int) -> Shaded:
     # A corner's place in the image: MuJoCo's v runs down it, as Mitsuba's does not.
     corner = model.mesh_facetexcoord[rows].ravel()
     uv = model.mesh_texcoord[place + corner] * [1, -1] + [0, 1]
-    uv += _spread(uv.reshape(-1, 3, 2)).reshape(-1, 2)
+    uv += _uv_offsets(uv.reshape(-1, 3, 2)).reshape(-1, 2)
     return shade(Mesh(points[faces.ravel()], np.arange(3 * len(faces)).reshape(-1, 3)), uv)
 
 
-def _spread(uv: np.ndarray) -> np.ndarray:
+def _uv_offsets(uv: np.ndarray) -> np.ndarray:
     """f64[F, 3, 2]: what keeps triangles of one spot of an image from having no direction along it."""
     sides = uv[:, 1:] - uv[:, :1]
     is_spot = np.abs(np.linalg.det(sides)) < _SPOT**2 / 100
@@ -449,7 +449,7 @@ def _tube(trail: Trail) -> Shaded:
     return shade(joined)
 
 
-def _faded(surface: dict[str, Any], opacity: float) -> dict[str, Any]:
+def _with_opacity(surface: dict[str, Any], opacity: float) -> dict[str, Any]:
     if opacity >= _OPAQUE:
         return surface
     return {"type": "mask", "opacity": opacity, "nested": surface}
@@ -460,7 +460,7 @@ def _colour(rgb: Sequence[float] | np.ndarray) -> dict[str, Any]:
     return {"type": "rgb", "value": list(linear([*np.clip(rgb, 0, 1), 1.0])[:3])}
 
 
-def _reflecting(colour: Any, roughness: float, metallic: float) -> dict[str, Any]:
+def _opaque_surface(colour: Any, roughness: float, metallic: float) -> dict[str, Any]:
     """What lets no light through; what is matte is traced in less time."""
     if roughness >= _MATTE and metallic <= 0:
         return {"type": "diffuse", "reflectance": colour}

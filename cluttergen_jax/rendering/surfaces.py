@@ -21,7 +21,7 @@ def _blurs(along: float, across: float) -> np.ndarray:
     return np.exp(-2 * np.pi**2 * ((across * down) ** 2 + (along * right) ** 2))
 
 
-def _filtered(rng: np.random.Generator, kept: np.ndarray) -> np.ndarray:
+def _filter_noise(rng: np.random.Generator, kept: np.ndarray) -> np.ndarray:
     """f64[SIDE, SIDE]: periodic noise of mean 0 and deviation 1 with these shares of its frequencies."""
     soft = np.fft.irfft2(np.fft.rfft2(rng.normal(size=(SIDE, SIDE))) * kept, (SIDE, SIDE))
     return np.asarray((soft - soft.mean()) / soft.std())
@@ -29,7 +29,7 @@ def _filtered(rng: np.random.Generator, kept: np.ndarray) -> np.ndarray:
 
 def _noise(rng: np.random.Generator, along: float, across: float) -> np.ndarray:
     """Noise whose grains are so many pixels along x and across it."""
-    return _filtered(rng, _blurs(along, across))
+    return _filter_noise(rng, _blurs(along, across))
 
 
 def _clouds(rng: np.random.Generator, largest: float, stretch: float = 1.0) -> np.ndarray:
@@ -42,7 +42,7 @@ def _clouds(rng: np.random.Generator, largest: float, stretch: float = 1.0) -> n
         kept += strength * blur / np.sqrt((blur**2).sum())
         strength *= 0.55
         size /= 2
-    return _filtered(rng, kept)
+    return _filter_noise(rng, kept)
 
 
 def _mix(one: Rgb, other: Rgb, share: np.ndarray) -> np.ndarray:

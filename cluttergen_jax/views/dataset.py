@@ -302,7 +302,7 @@ def _splits_of(
     if len(names) == 1:
         return [np.repeat(names, len(each)) for each in scenes]
     if shares_are == "drawn":
-        return [names[_drawn_splits(each, bank, shares, seed)] for bank, each in enumerate(scenes)]
+        return [names[_draw_splits(each, bank, shares, seed)] for bank, each in enumerate(scenes)]
     which = [np.full(len(each), -1) for each in scenes]
     for number in range(max(map(len, rounds))):
         # Of banks with few scenes, chance decides which has those of the smaller splits.
@@ -319,7 +319,7 @@ def _splits_of(
     return [names[each] for each in which]
 
 
-def _drawn_splits(scenes: np.ndarray, bank: int, shares: dict[str, float], seed: int) -> np.ndarray:
+def _draw_splits(scenes: np.ndarray, bank: int, shares: dict[str, float], seed: int) -> np.ndarray:
     """i[S]: the split of each scene by its number alone, as the first versions drew it."""
     drawn = [
         np.random.default_rng([seed, bank, scene, _SPLIT_DRAW]).uniform()

@@ -24,7 +24,7 @@ def outline_of(mask: np.ndarray) -> np.ndarray:
     lines = contourpy.contour_generator(z=np.pad(mask, 1).astype(np.float64)).lines(0.5 + _INSET)
     # The middle of the padded picture's second pixel is at (0.5, 0.5); the last point is the first again.
     rings = [_corners(np.asarray(line)[:-1] - 0.5) for line in lines]
-    return rings[0] if len(rings) == 1 else _joined(rings)
+    return rings[0] if len(rings) == 1 else _join_rings(rings)
 
 
 def _corners(ring: np.ndarray) -> np.ndarray:
@@ -33,7 +33,7 @@ def _corners(ring: np.ndarray) -> np.ndarray:
     return ring[~is_straight.any(axis=1)]
 
 
-def _joined(rings: list[np.ndarray]) -> np.ndarray:
+def _join_rings(rings: list[np.ndarray]) -> np.ndarray:
     """One polygon of rings f[P, 2] whose points differ, joined by a spanning tree of the shortest lines."""
     points = np.concatenate(rings)
     sizes = [len(ring) for ring in rings]

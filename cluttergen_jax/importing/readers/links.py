@@ -95,12 +95,12 @@ class Surfaces:
             replace(
                 piece.transform(rotation, translation),
                 rgba=look.colour if piece.rgba == GREY else piece.rgba,
-                finish=piece.finish or self._laid(look.finish, piece),
+                finish=piece.finish or self._with_maps_on(look.finish, piece),
             )
             for piece in pieces
         ]
 
-    def _laid(self, finish: Finish | None, piece: Piece) -> Finish | None:
+    def _with_maps_on(self, finish: Finish | None, piece: Piece) -> Finish | None:
         """A finish as it can be on a piece: maps need texture coordinates, kept beside an image."""
         if finish is None or not finish.images or piece.uv is not None:
             return finish
