@@ -64,8 +64,9 @@ $(VENV)/.docs: $(VENV)/.dev
 docs: $(VENV)/.docs ## build the documentation in out/site; a broken link is an error
 	$(RUN)/mkdocs build --strict
 
-images: $(VENV)/.core ## draw the pictures of the README and the gallery again
+images: $(VENV)/.all ## draw the pictures of the README and the gallery again
 	$(RUN)/python docs/make_images.py
+	$(RUN)/python -m docs.make_photos
 
 dist: $(VENV)/.dev ## build the wheel and the source distribution in dist, and check them
 	rm -rf dist

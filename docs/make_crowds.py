@@ -14,7 +14,6 @@ from PIL import Image, ImageDraw, ImageFont
 import cluttergen_jax as cg
 from cluttergen_jax.files import file_whole
 from cluttergen_jax.rendering import CameraView
-from cluttergen_jax.rendering.assets import render_scene
 
 HERE = Path(__file__).parent / "images"
 POOLS = ("dining", "kitchen", "household", "office", "study")
@@ -42,17 +41,7 @@ def find_successes(pool: str, number: int, **options: Any) -> list[cg.Scene]:
 
 def draw(scene: cg.Scene) -> np.ndarray:
     """A finished scene, drawn close, from the seat's side."""
-    width, height = CELL
-    return render_scene(
-        scene.objects,
-        scene.poses,
-        scene.support,
-        camera=VIEW,
-        close=True,
-        width=width,
-        height=height,
-        samples=48,
-    )
+    return np.asarray(scene.picture(view=VIEW, size=CELL))
 
 
 def titled_sheet(

@@ -47,10 +47,8 @@ def first_success(pool: str, support: str, num_objects: int, clutter: str | None
 
 
 def draw(scene: cg.Scene) -> np.ndarray:
-    """A finished scene, drawn close."""
-    return render_scene(
-        scene.objects, scene.poses, scene.support, close=True, width=720, height=540, samples=64
-    )
+    """A finished scene as a photo."""
+    return np.asarray(scene.picture(quality="photo", size=(720, 540)))
 
 
 def draw_support(name: str) -> np.ndarray:

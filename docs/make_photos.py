@@ -1,6 +1,7 @@
-"""Makes the README's first picture and those of the guide: python docs/make_photos.py [FOLDER] (ten minutes).
+"""Makes the README's first picture and those of a guide: python -m docs.make_photos [FOLDER] (15 minutes).
 
-Banks are made in FOLDER (out/photos), unless they are there. Needs the extra `photo`.
+Banks are made in FOLDER (out/photos), unless they are there; the textured set is imported as the pool
+`printed`, unless there is one. Needs the extra `photo`.
 """
 
 from __future__ import annotations
@@ -13,9 +14,11 @@ import numpy as np
 from PIL import Image
 
 import cluttergen_jax as cg
+from cluttergen_jax.assets.pool import list_pools
 from cluttergen_jax.files import file_whole
 from cluttergen_jax.rendering import contact_sheet
 from cluttergen_jax.rendering.look import embedded_looks
+from docs.make_textured import write
 
 HERE = Path(__file__).parent / "images"
 QUALITY = 88
@@ -31,6 +34,11 @@ PAIRS: dict[str, tuple[str, dict[str, Any]]] = {
         "study_night",
         {"pool": "study", "support": "bookcase", "surface": "all"},
     ),
+    "an imported set with textures": (
+        "kitchen_day",
+        {"pool": "printed", "num_objects": 12, "natural": True},
+    ),
+    "three pools": ("linen", MIXED),
 }
 """Caption, look and scene of each pair of `pairs.jpg`."""
 WALL: tuple[tuple[str, dict[str, Any]], ...] = (
@@ -68,6 +76,9 @@ def save(image: np.ndarray, name: str) -> None:
 
 def main(out: Path) -> None:
     """Makes all of them."""
+    if "printed" not in list_pools():
+        write(out / "meshes")
+        cg.import_pool(out / "meshes", "printed")
     mixed = bank_of(out / "mixed", **MIXED)
     wall = [
         draw(
@@ -98,7 +109,7 @@ def main(out: Path) -> None:
         for quality in ("fine", "photo"):
             images.append(draw(bank, out / quality, quality=quality, look=look, size=CELL))
             captions.append(f"{caption} ({quality})")
-    save(contact_sheet(images, captions, 2), "pairs.jpg")
+    save(contact_sheet(images, captions, 4), "pairs.jpg")
 
 
 if __name__ == "__main__":

@@ -192,8 +192,7 @@ def run(command: Any) -> int:
         print(f"error: {printable(_os_error_text(error))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        told = "rerun the command to resume" if command.resumes else "nothing was written"
-        print(f"\nstopped; {told}", file=sys.stderr)
+        print(f"\nstopped; {command.told_when_stopped}", file=sys.stderr)
         return INTERRUPTED
 
 

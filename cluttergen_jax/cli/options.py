@@ -20,13 +20,15 @@ from cluttergen_jax.cli.flags import flag_of, option_help, options_of
 from cluttergen_jax.errors import ConfigError
 
 _WRITTEN = {str: "STR", int: "INT", float: "FLOAT", Path: "PATH"}
+RESUMES = "rerun the command to resume"
+NOTHING_WRITTEN = "nothing was written"
 _NO_OPTIONS = ("show", "spec", "planner")
 
 
 class Options:
     """Options as they were given: frozen dataclasses, whose fields `Command.options` makes."""
 
-    resumes: ClassVar[bool]
+    told_when_stopped: ClassVar[str]
     needs_mujoco: ClassVar[bool]
     parser: ClassVar[Any]
     """What tyro makes the options with: a function of their groups, or the class where it has none."""
@@ -95,7 +97,7 @@ class Command:
         the arguments of `run`.
       kinds: types in place of the functions' own, by argument: what is positional, has an alias, or is text
         on the command line alone; and switches that no function takes, each with its help.
-      resumes: whether the same command takes up what was interrupted.
+      told_when_stopped: what Ctrl-C has left, and what the same command does then.
       needs_mujoco: whether it is refused where MuJoCo cannot be imported.
       left_out: arguments of the functions that are no options.
       needed: those that are no option to leave out, though not all functions take them.
@@ -106,7 +108,7 @@ class Command:
     run: Callable[..., int | None]
     functions: Sequence[Callable[..., Any]]
     kinds: Mapping[str, Any]
-    resumes: bool
+    told_when_stopped: str
     needs_mujoco: bool
     left_out: Sequence[str] = ()
     needed: Sequence[str] = ()
@@ -207,7 +209,7 @@ class Command:
             namespace={
                 "__doc__": about,
                 "run": run,
-                "resumes": self.resumes,
+                "told_when_stopped": self.told_when_stopped,
                 "needs_mujoco": self.needs_mujoco,
             },
         )
@@ -236,7 +238,7 @@ def _parameter(name: str, kind: Any, default: Any) -> inspect.Parameter:
 
 def command(
     *functions: Callable[..., Any],
-    resumes: bool = True,
+    told_when_stopped: str = RESUMES,
     needs_mujoco: bool = True,
     left_out: Sequence[str] = (),
     needed: Sequence[str] = (),
@@ -245,7 +247,7 @@ def command(
 ) -> Callable[[Callable[..., int | None]], Command]:
     """A decorator that makes a `Command` of what it does."""
     return lambda run: Command(
-        run, functions, kinds, resumes, needs_mujoco, left_out, needed, everyday
+        run, functions, kinds, told_when_stopped, needs_mujoco, left_out, needed, everyday
     )
 
 
@@ -276,7 +278,7 @@ class Group:
             namespace={
                 "__doc__": f"{inspect.cleandoc(self.about)}\n\nAttributes:\n  action: what to do.\n",
                 "run": lambda options: options.action.run(),
-                "resumes": True,
+                "told_when_stopped": RESUMES,
                 "needs_mujoco": True,
             },
         )

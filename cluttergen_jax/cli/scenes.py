@@ -16,7 +16,7 @@ from cluttergen_jax.api.export import export, holds_policies, pull_bank, pull_po
 from cluttergen_jax.api.generate import generate, place_by_hand, repair
 from cluttergen_jax.api.render import make_dataset, render, view
 from cluttergen_jax.cli.flags import with_flags
-from cluttergen_jax.cli.options import Options, command
+from cluttergen_jax.cli.options import NOTHING_WRITTEN, Options, command
 from cluttergen_jax.errors import ClutterGenError
 from cluttergen_jax.judging.api import certify, judge, verify
 
@@ -42,7 +42,7 @@ def run_generate(options: Options) -> None:
     print(with_flags(str(bank), options))
 
 
-@command(verify, path=Positional[str], resumes=False)
+@command(verify, path=Positional[str], told_when_stopped=NOTHING_WRITTEN)
 def run_verify(options: Options) -> int:
     """Check that saved scenes are stable, in plain MuJoCo. Exit status 1 if one is not.
 
@@ -100,7 +100,7 @@ def run_repair(options: Options) -> int:
     return 0 if all(each.is_stable for each in report.layouts) else 1
 
 
-@command(export, source=Positional[str], format=str, resumes=False)
+@command(export, source=Positional[str], format=str, told_when_stopped=NOTHING_WRITTEN)
 def run_export(options: Options) -> None:
     """Write scenes of a bank as a self-contained folder for another program.
 
@@ -228,6 +228,7 @@ def run_view(options: Options) -> None:
 @command(
     render,
     source=Positional[str],
+    told_when_stopped="what is finished is kept; the same command draws all again",
     everyday="scenes picture sheet turntable replay film depth segmentation cameras size quality out",
 )
 def run_render(options: Options) -> int:

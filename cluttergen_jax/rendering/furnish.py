@@ -19,7 +19,7 @@ from cluttergen_jax.assets.support import Box, SupportAsset
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.geometry import yaw_matrix
 from cluttergen_jax.rendering.look import Covering, Look
-from cluttergen_jax.rendering.surfaces import KINDS, draw_surface
+from cluttergen_jax.rendering.surfaces import KINDS, draw_surface, on_white
 
 # Metres.
 _LOWEST_TABLE = 0.3
@@ -45,8 +45,8 @@ def covering_texture(covering: Covering) -> Texture:
         return Texture.of(Image.fromarray(pixels))
     try:
         with Image.open(covering.of) as image:
-            return Texture.of(image)
-    except (AssetError, OSError, Image.DecompressionBombError) as error:
+            return Texture.of(on_white(image))
+    except (AssetError, OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise AssetError(f"{covering.of}, an image that cannot be decoded ({error})") from error
 
 
@@ -170,6 +170,7 @@ def _cover(mesh: Mesh, covering: Covering, along: int = 0) -> Piece:
     """
     corners = mesh.corners.reshape(-1, 3)
     side = np.repeat(np.abs(mesh.normals).argmax(1), 3)
+    outward = np.repeat(mesh.normals, 3, axis=0)
     uv = np.empty((len(corners), 2))
     for axis in range(3):
         others = [each for each in range(3) if each != axis]
@@ -177,6 +178,10 @@ def _cover(mesh: Mesh, covering: Covering, along: int = 0) -> Piece:
             others.reverse()
         mine = side == axis
         uv[mine] = corners[mine][:, others] / covering.tile
+        # Seen from outside, an image is not mirrored.
+        is_right_handed = (others[1] - others[0]) % 3 == 1
+        is_mirrored = mine & ((outward[:, axis] > 0) != is_right_handed)
+        uv[is_mirrored, 0] *= -1
     faces = np.arange(len(corners)).reshape(-1, 3)
     return Piece(
         Mesh(corners, faces),

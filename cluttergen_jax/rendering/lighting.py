@@ -57,7 +57,8 @@ def _add_floor(spec: mujoco.MjSpec, look: Look | None) -> None:
         image = add_image(spec, covering_texture(look.floor))
         material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = image
         material.texuniform = True
-        material.texrepeat = (1 / look.floor.tile, 1 / look.floor.tile)
+        # On a plane MuJoCo counts by two metres.
+        material.texrepeat = (2 / look.floor.tile, 2 / look.floor.tile)
         material.rgba = (1.0, 1.0, 1.0, 1.0)
         material.roughness = look.floor.roughness
         material.metallic = look.floor.metallic

@@ -7,12 +7,13 @@ In a file any value may be drawn anew for each seed: `{one_of: [A, B]}` is one o
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
+from PIL import Image, UnidentifiedImageError
 
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.rendering.surfaces import KINDS
@@ -29,6 +30,7 @@ Rgb = tuple[Share, Share, Share]
 Strength = Annotated[float, msgspec.Meta(ge=0, le=1000)]
 Metres = Annotated[float, msgspec.Meta(ge=0.01, le=100)]
 TableForm = Literal["legs", "cabinet", "block"]
+_COVERED = ("top", "frame", "floor", "wall")
 _PICTURES = (".png", ".jpg", ".jpeg")
 _SKIES = (*_PICTURES, ".hdr", ".exr")
 
@@ -161,13 +163,20 @@ def read_look(path: Path, rng: np.random.Generator) -> Look:
       ConfigError: as `find_look`.
     """
     try:
-        look = convert(_draw_open_values(parse_yaml(read_written(path)), rng), Look)
-        coverings = {
-            part: _check_covering(covering, part, path.parent)
-            for part in ("top", "frame", "floor", "wall")
-            if (covering := getattr(look, part)) is not None
-        }
-        image = look.sky.image and _image(look.sky.image, path.parent, _SKIES, "sky")
+        written = parse_yaml(read_written(path))
+        look = convert(_draw_open_values(written, rng), Look)
+        coverings = {}
+        for part in _COVERED:
+            # What is not drawn this time is by another seed.
+            for name in _values_at(written, part, "of"):
+                _check_covering(name, part, path.parent)
+            covering: Covering | None = getattr(look, part)
+            if covering is not None:
+                found = _check_covering(covering.of, part, path.parent)
+                coverings[part] = msgspec.structs.replace(covering, of=found)
+        for name in _values_at(written, "sky", "image"):
+            _find_image(name, path.parent, _SKIES, "sky")
+        image = look.sky.image and _find_image(look.sky.image, path.parent, _SKIES, "sky")
     except OSError as error:
         raise ConfigError(
             f"look {str(path)!r} ({error.strerror})", "the YAML file of a look"
@@ -207,19 +216,34 @@ def _draw_open_values(value: Any, rng: np.random.Generator) -> Any:
     return {key: _draw_open_values(each, rng) for key, each in value.items()}
 
 
-def _check_covering(covering: Covering, part: str, folder: Path) -> Covering:
-    """The covering, its image a path that is there."""
-    if covering.of in KINDS:
-        return covering
-    if "." not in covering.of:
-        near = closest(covering.of, KINDS)
-        raise SchemaError(f"{part} is of {covering.of!r}; known are {', '.join(KINDS)}. {near}")
-    found = _image(covering.of, folder, _PICTURES, part)
-    return msgspec.structs.replace(covering, of=found)
+def _values_at(value: Any, *keys: str) -> Iterator[str]:
+    """All texts that a file may have drawn at a place."""
+    if isinstance(value, Mapping) and set(value) == {"one_of"}:
+        for option in value["one_of"]:
+            yield from _values_at(option, *keys)
+    elif keys and isinstance(value, Mapping):
+        yield from _values_at(value.get(keys[0]), *keys[1:])
+    elif not keys and isinstance(value, str):
+        yield value
 
 
-def _image(name: str, folder: Path, endings: tuple[str, ...], part: str) -> str:
+def _check_covering(of: str, part: str, folder: Path) -> str:
+    """What a covering is of: a kind, or the path of an image that is there."""
+    if of in KINDS:
+        return of
+    if "." not in of:
+        near = closest(of, KINDS)
+        raise SchemaError(f"{part} is of {of!r}; known are {', '.join(KINDS)}. {near}")
+    return _find_image(of, folder, _PICTURES, part)
+
+
+def _find_image(name: str, folder: Path, endings: tuple[str, ...], part: str) -> str:
     path = folder / name
     if not re.search(f"({'|'.join(endings)})$", name.lower()) or not path.is_file():
         raise SchemaError(f"{part} has image {name!r}; needed is a file: {', '.join(endings)}")
+    if path.suffix.lower() in _PICTURES:
+        try:
+            Image.open(path).close()
+        except UnidentifiedImageError as error:
+            raise SchemaError(f"{part} has image {name!r}, which holds no image") from error
     return str(path)

@@ -22,6 +22,7 @@ from cluttergen_jax.rendering.config import PhotoConfig
 from cluttergen_jax.rendering.look import Look
 from cluttergen_jax.rendering.photo_scene import PhotoScene
 from cluttergen_jax.rendering.renderer import Trail
+from cluttergen_jax.rendering.surfaces import on_white
 from cluttergen_jax.sensing.camera import Camera
 
 PER_PASS = 4
@@ -144,7 +145,7 @@ def read_backdrop(background: str, width: int, height: int) -> np.ndarray:
             ) from None
         try:
             with Image.open(background) as file:
-                image = ImageOps.fit(file.convert("RGB"), (width, height))
+                image = ImageOps.fit(on_white(file).convert("RGB"), (width, height))
         except (OSError, SyntaxError, Image.DecompressionBombError) as error:
             raise ConfigError(
                 f"background {background!r}, which holds no image ({error})", "a PNG or JPEG file"

@@ -214,20 +214,24 @@ class PhotoScene:
         rgba = model.geom_rgba[geom].astype(float)
         roughness = metallic = -1.0
         images = dict.fromkeys(_ROLES, -1)
-        repeats = (1.0, 1.0)
+        tiling = _Tiling()
         if number >= 0:
             if np.allclose(rgba, (0.5, 0.5, 0.5, 1.0), atol=1e-6):
                 rgba = model.mat_rgba[number].astype(float)
             images = {name: int(model.mat_texid[number, role]) for name, role in _ROLES.items()}
             roughness = float(model.mat_roughness[number])
             metallic = float(model.mat_metallic[number])
-            repeats = _repeats(model, number, size)
+            u, v = model.mat_texrepeat[number].tolist()
+            tiling = _Tiling(u, v)
+            if size is not None:
+                # MuJoCo lays the image's middle on the plane's, and counts by two metres.
+                tiling = _rectangle_tiling(2 * size, 2 / u, foot=0.5 + size[1] * v / 2)
         is_clear = rgba[3] < _OPAQUE
         if is_clear and images["rgb"] < 0:
             return _Material(_with_opacity(_glass(rgba, roughness), opacity), _colour(np.ones(3)))
         colour = _colour(rgba[:3])
         if images["rgb"] >= 0:
-            colour = self._image(images["rgb"], repeats, rgba[:3])
+            colour = self._image(images["rgb"], tiling, rgba[:3])
         surface = _opaque_surface(colour, _ROUGHNESS if roughness < 0 else roughness, metallic)
         if images["orm"] >= 0:
             # A map multiplies both, which are 1 where nothing else is said.
@@ -235,31 +239,29 @@ class PhotoScene:
             surface = _opaque_surface(colour, 0.0, 1.0)
             for channel, (name, value) in enumerate(numbers.items(), 1):
                 factor = value * np.eye(3)[channel]
-                surface[name] = self._image(images["orm"], repeats, factor, is_raw=True)
+                surface[name] = self._image(images["orm"], tiling, factor, is_raw=True)
         if images["normal"] >= 0:
-            normal = self._image(images["normal"], repeats, np.ones(3), is_raw=True)
+            normal = self._image(images["normal"], tiling, np.ones(3), is_raw=True)
             surface = {"type": "normalmap", "normalmap": normal, "nested": surface}
         opacity *= rgba[3] if is_clear else 1.0
         return _Material(_with_opacity({"type": "twosided", "nested": surface}, opacity), colour)
 
-    def _image(
-        self, number: int, repeats: tuple[float, float], factor: np.ndarray, is_raw: bool = False
-    ) -> Any:
-        """Mitsuba's texture of one of the model's, so many times along u and v, times f[3].
+    def _image(self, number: int, tiling: _Tiling, factor: np.ndarray, is_raw: bool = False) -> Any:
+        """Mitsuba's texture of one of the model's, times f[3].
 
         Args:
           is_raw: its values are no colours; of a factor with one channel above 0 that channel alone.
         """
         import mitsuba as mi
 
-        key = (number, *repeats, *np.round(factor, 4).tolist(), is_raw)
+        key = (number, tiling, *np.round(factor, 4).tolist(), is_raw)
         if key not in self._images:
             pixels = texture_pixels(self._model, number) * factor
             if is_raw and np.count_nonzero(factor) == 1:
                 pixels = pixels[..., factor > 0]
             bitmap = mi.Bitmap(np.round(pixels).astype(np.uint8))
-            scale = mi.ScalarTransform4f().scale([*repeats, 1])
-            texture = {"type": "bitmap", "bitmap": bitmap, "raw": is_raw, "to_uv": scale}
+            place = tiling.transform
+            texture = {"type": "bitmap", "bitmap": bitmap, "raw": is_raw, "to_uv": place}
             self._images[key] = mi.load_dict(texture)
         return self._images[key]
 
@@ -273,8 +275,10 @@ class PhotoScene:
         import mitsuba as mi
 
         pixels = np.asarray(covering_texture(wall).image).copy()
-        repeat = mi.ScalarTransform4f().scale([2 * room / wall.tile, _WALL / wall.tile, 1])
-        image = mi.load_dict({"type": "bitmap", "bitmap": mi.Bitmap(pixels), "to_uv": repeat})
+        tiling = _rectangle_tiling(np.array([2 * room, _WALL]), wall.tile, foot=1.0)
+        image = mi.load_dict(
+            {"type": "bitmap", "bitmap": mi.Bitmap(pixels), "to_uv": tiling.transform}
+        )
         surface = _opaque_surface(image, wall.roughness, wall.metallic)
         center = self._model.stat.center
         for number in range(4):
@@ -356,9 +360,9 @@ def shade_geom(model: mujoco.MjModel, geom: int) -> Shaded:
     place = model.mesh_texcoordadr[number]
     if place < 0:
         return shade(Mesh(points, faces))
-    # A corner's place in the image: MuJoCo's v runs down it, as Mitsuba's does not.
+    # A corner's place in the image; v runs down it, as Mitsuba's does.
     corner = model.mesh_facetexcoord[rows].ravel()
-    uv = model.mesh_texcoord[place + corner] * [1, -1] + [0, 1]
+    uv = model.mesh_texcoord[place + corner].astype(np.float64)
     uv += _uv_offsets(uv.reshape(-1, 3, 2)).reshape(-1, 2)
     return shade(Mesh(points[faces.ravel()], np.arange(3 * len(faces)).reshape(-1, 3)), uv)
 
@@ -381,12 +385,31 @@ def texture_pixels(model: mujoco.MjModel, number: int) -> np.ndarray:
     return np.asarray(pixels.reshape(height, width, channels)[..., :3])
 
 
-def _repeats(model: mujoco.MjModel, material: int, size: np.ndarray | None) -> tuple[float, float]:
-    """How often an image lies along u and v; of a plane, along its sides, `size` being half of them."""
-    u, v = model.mat_texrepeat[material].tolist()
-    if size is None or not model.mat_texuniform[material]:
-        return u, v
-    return 2 * size[0] * u, 2 * size[1] * v
+class _Tiling(NamedTuple):
+    """How an image lies on a surface: its coordinates there, times and plus these."""
+
+    u_scale: float = 1.0
+    v_scale: float = 1.0
+    u_offset: float = 0.0
+    v_offset: float = 0.0
+
+    @property
+    def transform(self) -> Any:
+        """As Mitsuba takes it."""
+        import mitsuba as mi
+
+        place = mi.ScalarTransform4f().translate([self.u_offset, self.v_offset, 0])
+        return place @ mi.ScalarTransform4f().scale([self.u_scale, self.v_scale, 1])
+
+
+def _rectangle_tiling(sides: np.ndarray, tile: float, foot: float) -> _Tiling:
+    """An image that comes again every `tile` metres on a rectangle of sides f[2], upright from its front.
+
+    Args:
+      foot: the height in the image, from 0 above to 1 below, that lies on the rectangle's lower edge.
+    """
+    u, v = sides / tile
+    return _Tiling(u, -v, 0.5 - u / 2, foot)
 
 
 def _rectangle(

@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Callable
 
 import numpy as np
+from PIL import Image
 
 SIDE = 1024
 """Pixels of an image's side."""
@@ -171,3 +172,12 @@ def draw_surface(kind: str, colours: tuple[Rgb, Rgb], seed: int) -> np.ndarray:
     rng = np.random.default_rng((seed, KINDS.index(kind)))
     pixels = _KINDS[kind](rng, *colours)
     return np.round(255 * np.clip(pixels, 0, 1)).astype(np.uint8)
+
+
+def on_white(image: Image.Image) -> Image.Image:
+    """The image, but what is transparent in it is white, as on a page."""
+    if not image.has_transparency_data:
+        return image
+    paper = Image.new("RGBA", image.size, "white")
+    paper.alpha_composite(image.convert("RGBA"))
+    return paper.convert("RGB")

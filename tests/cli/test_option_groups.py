@@ -109,7 +109,7 @@ def test_a_former_name_of_an_argument_works_with_a_warning(tmp_path):
         ),
         pytest.raises(BankError),
     ):
-        cg.push_bank(tmp_path / "none", "me/none", is_private=True)
+        cg.push_bank(tmp_path / "none", "me/none", hub=str(tmp_path / "hub"), is_private=True)
     with (
         pytest.warns(DeprecationWarning, match=r"path=...\) is now called support"),
         pytest.raises(ClutterGenError),

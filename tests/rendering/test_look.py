@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from PIL import Image
 
 import cluttergen_jax as cg
 from cluttergen_jax.assets.pool import find_pool
@@ -93,13 +94,29 @@ def test_an_unknown_look_names_those_that_there_are(tmp_path, capsys):
 
 
 def test_an_image_may_cover_a_top_and_a_damaged_one_is_refused(tmp_path):
-    (tmp_path / "oak.png").write_bytes(b"no image")
+    image = tmp_path / "oak.png"
+    Image.fromarray(np.zeros((64, 64, 4), np.uint8)).save(image)
     file = tmp_path / "mine.yaml"
     file.write_text(LEAST.replace("wood", "oak.png"))
     look = read_look(file, np.random.default_rng(0))
-    assert look.top.of == str(tmp_path / "oak.png")
+    assert look.top.of == str(image)
+    # What is transparent is white.
+    assert (np.asarray(covering_texture(look.top).image) == 255).all()
+    image.write_bytes(image.read_bytes()[:50])
+    covering_texture.cache_clear()
     with pytest.raises(AssetError, match="cannot be decoded"):
         furnish(cuboid_table(), look)
+    image.write_text("no image")
+    with pytest.raises(ConfigError, match=r"oak.png', which holds no image"):
+        read_look(file, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_may_be_drawn_is_looked_for_whichever_is_drawn(seed, tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text(LEAST.replace("wood", "{one_of: [wood, missing.png]}"))
+    with pytest.raises(ConfigError, match=r"missing.png"):
+        read_look(file, np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize("kind", KINDS)

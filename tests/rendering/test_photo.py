@@ -1,5 +1,6 @@
 """Photos: cameras and outlines as OpenGL's pictures have them, clear glass, and clear errors."""
 
+import msgspec
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -9,13 +10,14 @@ import cluttergen_jax as cg
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.shape import Texture
 from cluttergen_jax.assets.support import cuboid_table
+from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.rendering import photo
 from cluttergen_jax.rendering.assets import close_points
 from cluttergen_jax.rendering.config import PhotoConfig
 from cluttergen_jax.rendering.furnish import furnish
-from cluttergen_jax.rendering.look import find_look
+from cluttergen_jax.rendering.look import Covering, find_look, read_look
 from cluttergen_jax.rendering.scene_renderer import PictureConfig, RenderStyle, open_scene_renderer
 from cluttergen_jax.sensing import FLOOR, Camera, InstanceSensor
 from tests.helpers import shiny
@@ -65,6 +67,53 @@ def test_a_photo_has_the_outlines_that_rays_see(is_square):
     is_thing = seen.label != FLOOR
     is_drawn = image[..., 3] > 127
     assert (is_thing & is_drawn).sum() > 0.97 * (is_thing | is_drawn).sum()
+
+
+QUARTERS = np.array([[[220, 30, 30], [30, 200, 30]], [[30, 30, 220], [235, 235, 235]]], np.uint8)
+"""An image that is like itself in no other place, turned by no angle, and mirrored by no axis."""
+
+
+def quarter_of(image):
+    """i[...]: which of the four colours a pixel shows best, in any light."""
+    shown = image / np.maximum(image.max(-1, keepdims=True), 1)
+    colours = (QUARTERS.reshape(4, 3) / QUARTERS.reshape(4, 3).max(-1, keepdims=True)).astype(float)
+    return np.linalg.norm(shown[..., None, :] - colours, axis=-1).argmin(-1)
+
+
+@pytest.mark.slow
+def test_images_lie_as_opengl_lays_them(tmp_path):
+    pytest.importorskip("mitsuba", reason="needs the extra photo")
+    Image.fromarray(QUARTERS.repeat(32, 0).repeat(32, 1)).save(tmp_path / "quarters.png")
+    text = (
+        "about: a test\ntop: {of: quarters.png, tile: 1.1}\nfloor: {of: quarters.png, tile: 1.5}\n"
+    )
+    (tmp_path / "look.yaml").write_text(text + "frame: {of: paint}\n")
+    look = read_look(tmp_path / "look.yaml", np.random.default_rng(0))
+    support = furnish(cuboid_table(), look)
+    points = np.array([[-0.6, -0.6, 0.0], [0.6, 0.6, 1.0]])
+    camera = Camera.looking(np.array([0.9, -1.2, 2.4]), np.array([0.0, 0.0, 0.5]), *SIZE, 100)
+    found = []
+    for config in (None, PhotoConfig()):
+        picture = PictureConfig(*SIZE, 4, look=look, photo=config)
+        with open_scene_renderer([], support, points, picture) as renderer:
+            renderer.camera = camera
+            found.append(quarter_of(renderer.picture([]).astype(float)))
+    assert set(found[0].ravel()) == {0, 1, 2, 3}
+    assert (found[0] == found[1]).mean() > 0.9
+
+
+def test_an_image_that_covers_a_top_is_not_mirrored(tmp_path):
+    Image.fromarray(QUARTERS.repeat(8, 0).repeat(8, 1)).save(tmp_path / "quarters.png")
+    for size in ((0.6, 0.4), (0.4, 0.6)):
+        covering = Covering(str(tmp_path / "quarters.png"), tile=2.0)
+        look = msgspec.structs.replace(find_look("studio"), top=covering)
+        for piece in furnish(find_support(f"table-{size[0]:.2f}x{size[1]:.2f}"), look).pieces[:1]:
+            corners = piece.mesh.corners
+            outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            sides = np.diff(piece.uv.reshape(-1, 3, 2).astype(float), axis=1)
+            turns = np.linalg.det(sides)
+            is_large = np.linalg.norm(outward, axis=-1) > 1e-6
+            assert (turns[is_large] > 0).all()
 
 
 @pytest.mark.slow
