@@ -293,7 +293,7 @@ def write(folder: Path) -> None:
 def main(folder: Path) -> None:
     """Makes meshes, pool, scenes and the picture."""
     write(folder / "meshes")
-    cg.import_pool(folder / "meshes", "printed")
+    cg.import_pool(folder / "meshes", "printed", force=True)
     table = "table-0.50x0.60"
     bank = cg.generate(
         folder / "scenes",
