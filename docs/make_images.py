@@ -5,10 +5,12 @@ from pathlib import Path
 
 import jax
 import numpy as np
+from PIL import Image
 
 import cluttergen_jax as cg
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support_file import find_support, list_supports
+from cluttergen_jax.files import file_whole
 from cluttergen_jax.geometry import transform_points
 from cluttergen_jax.rendering.assets import close_points, object_sheet, render_scene, scene_spec
 from cluttergen_jax.rendering.film import save_film
@@ -91,9 +93,9 @@ def main() -> None:
         steps = zip(*map(filling, scenes), strict=True)
         frames = [contact_sheet(images, FILM_CAPTIONS, columns=3) for images in steps]
     save_film([*frames, *frames[-1:] * FILM_END], HERE / "filling.gif", FILM_FPS)
-    save_png(
-        contact_sheet([draw(scene) for scene in scenes], CAPTIONS, columns=3), HERE / "scenes.png"
-    )
+    sheet = contact_sheet([draw(scene) for scene in scenes], CAPTIONS, columns=3)
+    with file_whole(HERE / "scenes.jpg") as fresh:
+        Image.fromarray(sheet).save(fresh, "JPEG", quality=85)
     for pool in POOLS:
         save_png(object_sheet(find_pool(pool).objects, columns=5), HERE / f"{pool}.png")
     supports = sorted(list_supports())
