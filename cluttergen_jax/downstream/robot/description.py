@@ -58,7 +58,7 @@ def model_file(package: str, file: str) -> Path:
 def mujoco_spec(path: Path) -> mujoco.MjSpec:
     """A model in MJCF, to be edited.
 
-    Attributes that MuJoCo does not know, as it passed over before version 3.6, are left out; each is named once.
+    Attributes that MuJoCo does not know, which older versions passed over, are left out; each is named once.
 
     Raises:
       ConfigError: it is none.
@@ -156,7 +156,17 @@ _SLACK = 1e-6
 """Radians that limits may exceed those of the model."""
 _OF_JOINTS = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
 _OPTIONAL = ("gain", "damping", "torque", "inertia", "limits")
-_POSITIVE = ("distance", "speed", "acceleration", "gain", "torque", "inertia", "pad", "force", "region")
+_POSITIVE = (
+    "distance",
+    "speed",
+    "acceleration",
+    "gain",
+    "torque",
+    "inertia",
+    "pad",
+    "force",
+    "region",
+)
 _MOST_HEIGHT = 1.0
 
 

@@ -41,7 +41,7 @@ class Gripper:
     """A gripper's table, T rows from closed to open, of k joints.
 
     Attributes:
-      opening: f64[T], metres that each pad is from the middle between them. control: f64[T]. joints: f64[T, k].
+      opening: f64[T], metres that each pad is from the middle. control: f64[T]. joints: f64[T, k].
       depth: f64[T], metres that the pads are before the tool's origin.
       side: f64[T], metres that the middle between the pads is from the tool's axis, along the tool's y.
       driven: which of the joints tell how far it is open. closed: the control that closes it.
@@ -91,7 +91,7 @@ class Gripper:
         return np.interp(np.asarray(width) / 2, self.opening, self.side)
 
     def shift_of(self, width: np.ndarray | float) -> np.ndarray:
-        """f64[...]: metres along the tool's y from its axis to the middle of something that the hand comes to.
+        """f64[...]: metres along the tool's y from its axis to the middle of what the hand comes to.
 
         It is where the pads will meet it, but that a pad which hardly moves must not scrape along it.
         """
@@ -169,7 +169,9 @@ def _close(model: mujoco.MjModel, robot: RobotDescription) -> GripperTable:
             middle = data.geom_xpos[pads].mean(0)
             between = (ends[1] - ends[0]) / width
         side = float((ends.mean(0) - tool[:3, 3]) @ tool[:3, 1])
-        rows.append((max(float(width), 0.0), float(control), tuple(data.qpos.tolist()), depth, side))
+        rows.append(
+            (max(float(width), 0.0), float(control), tuple(data.qpos.tolist()), depth, side)
+        )
         if width < _LEAST_STEP:
             break
     if len(rows) < 2 or rows[-1][0] > _LEAST_STEP:
@@ -202,8 +204,8 @@ def _check_direction(robot: RobotDescription, middle: np.ndarray, between: np.nd
     turn = np.stack([across, between, np.cross(across, between)], axis=1)
     meant = pose_of(rigid(turn, middle)).round(4).tolist()
     raise ConfigError(
-        f"robot {robot.name}: its pads close along {between.round(2).tolist()} of the hand's frame, and the y "
-        f"of gripper.tool is {tool[:3, 1].round(2).tolist()}",
+        f"robot {robot.name}: its pads close along {between.round(2).tolist()} of the hand's frame, and the "
+        f"y of gripper.tool is {tool[:3, 1].round(2).tolist()}",
         f"the same, within {np.degrees(_MOST_ASKEW):.0f} degrees",
         f"other `pads`, or tool: {meant}, if the hand comes along z of that",
     )

@@ -295,8 +295,8 @@ class Robot:
     """Where a robot of n joints is found in a compiled model.
 
     Attributes:
-      qpos: i[n], of the arm's joints in `qpos`; fingers: i[k], of the hand's joints that are not the arm's, in
-        the order of the gripper's model.
+      qpos: i[n], of the arm's joints in `qpos`; fingers: i[k], of the hand's joints that are not the arm's,
+        in the order of the gripper's model.
       dofs: i[n], of the arm's joints in `qvel`; finger_dofs: i[k].
       ctrl: i[n], of the arm's actuators; grip: of the gripper's.
       lag: f64[n], seconds by which each servo's damping lets its joint trail behind a moving set-point.

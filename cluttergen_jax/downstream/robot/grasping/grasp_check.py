@@ -148,7 +148,7 @@ def _points(gripper: Gripper, width: np.ndarray) -> np.ndarray:
     """f64[C, 4, 1]: the points between the pads in the hand's frame, homogeneous."""
     depth = gripper.depth_of(width)[:, None]
     side = gripper.side_of(width)[:, None]
-    x, y, z, origin = gripper.T_hand_tool.T
+    _, y, z, origin = gripper.T_hand_tool.T
     return (origin + depth * z + side * y)[..., None]
 
 

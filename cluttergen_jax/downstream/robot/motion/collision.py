@@ -317,7 +317,9 @@ class PlanningWorld:
         own = model.body_pos[hand].copy(), model.body_quat[hand].copy()
         T_world_hand = T_world_tool @ self._T_tool_hand
         T_wrist_hand = self._T_wrist_world @ T_world_hand
-        self._put(hand, pose_of(T_wrist_hand if self._turned is None else T_wrist_hand @ self._turned))
+        self._put(
+            hand, pose_of(T_wrist_hand if self._turned is None else T_wrist_hand @ self._turned)
+        )
         try:
             return self.is_free(self._home, opening, mode)
         finally:

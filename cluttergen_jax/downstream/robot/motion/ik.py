@@ -100,7 +100,7 @@ class ArmKinematics:
         self.T_world_base = matrix_of(base)
         self._T_base_world = inverse(self.T_world_base)
         self.tool(self.home)
-        self._axis = _first_axis(self._robot)
+        self._axis = first_axis(self._robot)
         x, y, _ = arm.tool(self._data)[:3, 3] - self._axis.anchor
         self._ahead = self.home[0] - self._axis.sign * np.arctan2(y, x)
 
@@ -196,8 +196,8 @@ class ArmKinematics:
         """Joints f64[L, n] along a straight line of the tool, from `start`, both ends included.
 
         Args:
-          along: f64[3], metres in world axes; the tool does not turn, or as little as an arm of fewer than six
-            joints can (`solve`).
+          along: f64[3], metres in world axes; the tool does not turn, or as little as an arm of fewer than
+            six joints can (`solve`).
 
         Returns:
           None where a point cannot be reached, or only by a jump.
@@ -245,7 +245,7 @@ def _arm(robot: RobotDescription) -> tuple[mujoco.MjModel, Robot]:
     return model, Robot.of(model, robot, prefix="")
 
 
-class _Axis(NamedTuple):
+class Axis(NamedTuple):
     """The first joint's axis.
 
     Attributes:
@@ -258,7 +258,8 @@ class _Axis(NamedTuple):
 
 
 @cache
-def _first_axis(robot: RobotDescription) -> _Axis:
+def first_axis(robot: RobotDescription) -> Axis:
+    """The axis about which the arm turns as a whole."""
     model, _ = _arm(robot)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -268,7 +269,7 @@ def _first_axis(robot: RobotDescription) -> _Axis:
     anchor = np.array([*data.xanchor[first, :2], 0.0])
     if np.hypot(*anchor[:2]) <= TOLERANCE:
         anchor[:] = 0.0
-    return _Axis(float(np.sign(up)) if turns and abs(up) >= _UPRIGHT else 0.0, anchor)
+    return Axis(float(np.sign(up)) if turns and abs(up) >= _UPRIGHT else 0.0, anchor)
 
 
 def _limits(arm: Robot) -> tuple[np.ndarray, np.ndarray]:
@@ -276,24 +277,35 @@ def _limits(arm: Robot) -> tuple[np.ndarray, np.ndarray]:
 
 
 @cache
-def _start_table(robot: RobotDescription) -> tuple[np.ndarray, np.ndarray, KDTree]:
-    """Joints f64[S, n], their first 0 if it is upright; the turns of their tools about its axis; and the tools, to search."""
+def _samples(robot: RobotDescription) -> tuple[np.ndarray, np.ndarray]:
+    """Joints at random, f64[S, n], their first 0 if it is upright, and T_base_tool, f64[S, 4, 4], at each."""
     model, arm = _arm(robot)
-    axis = _first_axis(robot)
     data = mujoco.MjData(model)
     starts = np.random.default_rng(0).uniform(*_limits(arm), (_NUM_STARTS, len(arm.qpos)))
-    if axis.sign:
+    if first_axis(robot).sign:
         starts[:, 0] = 0
     tools = np.empty((_NUM_STARTS, 4, 4))
     for index, joints in enumerate(starts):
         data.qpos[arm.qpos] = joints
         mujoco.mj_kinematics(model, data)
         tools[index] = arm.tool(data)
-    features, turns = _from_axis(tools, axis)
+    return starts, tools
+
+
+def sampled_tools(robot: RobotDescription) -> np.ndarray:
+    """f64[S, 4, 4]: T_base_tool at joints drawn at random, the first of which is 0 if its axis is upright."""
+    return _samples(robot)[1]
+
+
+@cache
+def _start_table(robot: RobotDescription) -> tuple[np.ndarray, np.ndarray, KDTree]:
+    """Joints (`_samples`); the turns of their tools about the first axis; and the tools, to be searched."""
+    starts, tools = _samples(robot)
+    features, turns = _from_axis(tools, first_axis(robot))
     return starts, turns, KDTree(features)
 
 
-def _from_axis(T_base_tool: np.ndarray, axis: _Axis) -> tuple[np.ndarray, np.ndarray]:
+def _from_axis(T_base_tool: np.ndarray, axis: Axis) -> tuple[np.ndarray, np.ndarray]:
     """Poses f64[n, 4, 4] as seen from the first joint's axis: f64[n, 8], and their turns about it, f64[n].
 
     Where that axis is not upright: f64[n, 9], as seen from the base, and no turns.

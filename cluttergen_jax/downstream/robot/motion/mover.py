@@ -82,8 +82,8 @@ class Mover:
 
     Attributes:
       fitting: the number of the place that the last grasp of `find_pick` was found to fit; None if none was.
-      put: f64[4, 4], T_world_object where `place` was to put the object last: turned about the vertical where an
-        arm of fewer than six joints could not place it otherwise.
+      put: f64[4, 4], T_world_object where `place` was to put the object last: turned about the vertical where
+        an arm of fewer than six joints could not place it otherwise.
     """
 
     def __init__(
