@@ -21,10 +21,10 @@ if TYPE_CHECKING:
         GraspSets,
         GraspSource,
         PathPlanner,
+        RobotCheck,
         RobotDescription,
         RobotTrials,
     )
-    from cluttergen_jax.downstream.robot.check import RobotCheck
 
 _MOST_GRASPS = 4096
 _MOST_SEED = 999_999
@@ -398,7 +398,7 @@ def grasp_dataset(
     """
     import os
 
-    from cluttergen_jax.downstream.robot.description import find_robot
+    from cluttergen_jax.downstream.robot.check import usable_robot
     from cluttergen_jax.downstream.robot.grasping.grasp_dataset import GraspPlan, make
     from cluttergen_jax.scene import bank_folder
 
@@ -413,5 +413,5 @@ def grasp_dataset(
     if num_scenes is not None:
         check_range("num_scenes", num_scenes, 1, _MOST_EPISODES, 100)
     lifts = num_grasps if num_lifts is None else num_lifts
-    plan = GraspPlan(find_robot(robot), num_grasps, lifts, views, float(noise), seed)
+    plan = GraspPlan(usable_robot(robot), num_grasps, lifts, views, float(noise), seed)
     return make(bank_folder(bank), num_scenes, plan, Path(out), num_threads or os.cpu_count() or 1)

@@ -81,20 +81,25 @@ def _hold_still(spec: mujoco.MjSpec, robot: RobotDescription) -> None:
     """Takes away the joints of what is not part of the arm: of a base that drives, of a second arm."""
     first = spec.joint(robot.arm.joints[0]).parent
     moved = {joint.name for joint in (*first.joints, *_joints_below(first))}
-    for joint in list(spec.joints):
-        if joint.name not in moved:
-            _delete_joint(spec, joint)
+    others = [joint for joint in spec.joints if joint.name not in moved]
+    if others:
+        _delete_keys(spec)
+    for joint in others:
+        _delete_joint(spec, joint)
 
 
 def _cut_out(spec: mujoco.MjSpec, name: str, arm: tuple[str, ...]) -> None:
     """Leaves a hand of a model, fixed in the world: of the arm that carries it nothing but empty bodies."""
     hand = spec.body(name)
+    if hand.parent.name == _WORLD and len(spec.worldbody.bodies) == 1:
+        return
+    _delete_keys(spec)
     for joint in [each for each in hand.joints if each.name in arm]:
         _delete_joint(spec, joint)
     below = hand
     while below.name != _WORLD:
         carrier = below.parent
-        for body in [each for each in carrier.bodies if each.id != below.id]:
+        for body in [each for each in carrier.bodies if not _carries(each, name)]:
             _delete_body(spec, body)
         for joint in [] if carrier.name == _WORLD else list(carrier.joints):
             _delete_joint(spec, joint)
@@ -104,6 +109,34 @@ def _cut_out(spec: mujoco.MjSpec, name: str, arm: tuple[str, ...]) -> None:
             carrier.pos = (0, 0, 0)
             carrier.quat = (1, 0, 0, 0)
         below = carrier
+    _delete_lost(spec)
+
+
+def _carries(body: mujoco.MjsBody, name: str) -> bool:
+    """It is the body of that name, or that one hangs on it."""
+    return body.name == name or any(
+        each.name == name for each in body.find_all(mujoco.mjtObj.mjOBJ_BODY)
+    )
+
+
+def _delete_keys(spec: mujoco.MjSpec) -> None:
+    """They are of all joints."""
+    for key in list(spec.keys):
+        spec.delete(key)
+
+
+def _delete_lost(spec: mujoco.MjSpec) -> None:
+    """Takes away what refers to bodies that are no longer there, and sensors of what is not."""
+    known = {body.name for body in spec.bodies}
+    for pair in list(spec.excludes):
+        if not {pair.bodyname1, pair.bodyname2} <= known:
+            spec.delete(pair)
+    for tie in list(spec.equalities):
+        is_body = tie.objtype == mujoco.mjtObj.mjOBJ_BODY
+        if is_body and not {tie.name1, tie.name2 or _WORLD} <= known:
+            spec.delete(tie)
+    for sensor in list(spec.sensors):
+        spec.delete(sensor)
 
 
 def _joints_below(body: mujoco.MjsBody) -> list[mujoco.MjsJoint]:
@@ -129,8 +162,7 @@ def _delete_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
 
 def _prepare(spec: mujoco.MjSpec, contact: ContactConfig) -> None:
     """Its weight carried by its motors, and contacts as the scene's."""
-    for key in list(spec.keys):
-        spec.delete(key)
+    _delete_keys(spec)
     for body in spec.bodies:
         body.gravcomp = 1.0
     # The default as well: what is added later, and friction of its own, go by it.
