@@ -303,7 +303,7 @@ def test_a_check_of_a_robot_tells_ten_numbers_and_fails_by_its_exit_status(tmp_p
     assert main(["robot", "check", str(OWN / "robot.yaml"), "--picture", str(picture)]) == 0
     told = capsys.readouterr().out
     assert "50 of 50" in told
-    assert "lifted" in told
+    assert re.search(r"lifted by 12 cm +yes", told)
     assert picture.read_bytes().startswith(b"\x89PNG")
     own = read_robot(OWN / "robot.yaml")
     weak = replace(own, gripper=replace(own.gripper, force=0.05))

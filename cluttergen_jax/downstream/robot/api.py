@@ -264,6 +264,7 @@ def robot_place(
             own = described.scenes
             usual = replace(
                 usual,
+                pool=own.pool,
                 support=own.support,
                 num_objects=own.num_objects,
                 objects=own.objects if pool is None else (),

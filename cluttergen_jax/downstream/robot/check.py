@@ -5,22 +5,30 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 
+import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
 
 from cluttergen_jax.assets import Mesh, ObjectAsset, Rectangle, SupportAsset, find_support
 from cluttergen_jax.assets.object import RestingPose
 from cluttergen_jax.assets.shape import Piece, Provenance
+from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.description import (
     HINT,
     RobotDescription,
     RobotLike,
+    compile_model,
     find_robot,
 )
 from cluttergen_jax.downstream.robot.episode import EpisodeResult, robot_episode
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, make_grasps
 from cluttergen_jax.downstream.robot.gripper import Gripper, gripper_of
-from cluttergen_jax.downstream.robot.model import add_pedestals, base_pose, with_robot
+from cluttergen_jax.downstream.robot.model import (
+    add_pedestals,
+    base_pose,
+    hand_spec,
+    with_robot,
+)
 from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics, first_axis, sampled_tools
 from cluttergen_jax.downstream.transforms import rigid
@@ -170,7 +178,7 @@ def check_robot_whole(
 
 
 def _of_hand(robot: RobotDescription, gripper: Gripper) -> tuple[CheckedNumber, ...]:
-    gap = 2 * float(gripper.opening[0])
+    gap = _gap(robot, gripper)
     aside = 1e3 * gripper.side
     return (
         CheckedNumber(
@@ -184,6 +192,18 @@ def _of_hand(robot: RobotDescription, gripper: Gripper) -> tuple[CheckedNumber, 
         ),
         CheckedNumber("their middle moves by", f"{np.ptp(aside):.1f} mm"),
     )
+
+
+def _gap(robot: RobotDescription, gripper: Gripper) -> float:
+    """Metres between the pads where the table says that they meet; 0 where they overlap, or are not named."""
+    if not robot.gripper.pads:
+        return 0.0
+    model = compile_model(hand_spec(ContactConfig(), robot), robot.name)
+    data = mujoco.MjData(model)
+    data.qpos[:] = gripper.joints_of(0.0)
+    mujoco.mj_kinematics(model, data)
+    pads = [model.geom(name).id for name in robot.gripper.pads]
+    return max(float(mujoco.mj_geomDistance(model, data, *pads, 1.0, None)), 0.0)
 
 
 def _of_poses(reached: np.ndarray) -> CheckedNumber:
@@ -204,7 +224,7 @@ def _of_cube(grasps: Grasps, ending: EpisodeResult, cube: ObjectAsset) -> tuple[
     slip, turn = (
         (float(np.median(grasps.slip)), float(np.median(grasps.turn))) if good else (np.nan, np.nan)
     )
-    lifted = "lifted" if ending.is_success else f"{ending.outcome} ({ending.detail})"
+    lifted = "yes" if ending.is_success else f"no: {ending.outcome} ({ending.detail})"
     return (
         CheckedNumber(
             f"grasps of a cube of {side}",
@@ -215,7 +235,7 @@ def _of_cube(grasps: Grasps, ending: EpisodeResult, cube: ObjectAsset) -> tuple[
             "it slips in the hand", f"{1e3 * slip:.1f} mm, {np.degrees(turn):.1f} degrees"
         ),
         CheckedNumber(
-            "it is",
+            "the cube lifted by 12 cm",
             lifted,
             ""
             if ending.is_success

@@ -287,12 +287,13 @@ class RobotScenes:
 
     Attributes:
       support: as of `generate`. region: metres of its middle, x and y, that the robot reaches.
-      num_objects: in each scene. objects: of the pool household, which of them, as of `generate`.
+      num_objects: in each scene. pool: where they are from. objects: which of them it can hold, as of `generate`.
     """
 
     support: str
     region: tuple[float, float]
     num_objects: int
+    pool: str = "household"
     objects: tuple[str, ...] = ()
 
 

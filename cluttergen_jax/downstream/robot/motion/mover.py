@@ -135,6 +135,7 @@ class Mover:
         stood = self._survey()
         T_world_object = matrix_of(stood)
         furthest = 0
+        is_reached = False
         self.fitting = self._joints = None
         for room, ranked in product(
             self._rooms, rank_grasps(grasps, T_world_object, self.execution.gripper)
@@ -143,6 +144,7 @@ class Mover:
             grip = self._reached(ranked, T_world_object)
             if grip is None:
                 continue
+            is_reached = True
             T_world_tool = T_world_object @ grip.T_object_tool
             opening = grip.opening
             if not self.world.is_hand_free(T_world_tool, opening, Mode.COME):
@@ -171,7 +173,8 @@ class Mover:
                 plan = self._pick_plan(joints, grip, stood, opening, places is not None)
                 if plan is not None:
                     return plan
-        raise Failed(_ENDS[furthest], "to pick it up")
+        is_far = len(grasps) > 0 and not is_reached
+        raise Failed(Outcome.NO_IK if is_far else _ENDS[furthest], "to pick it up")
 
     def _reached(self, grip: Grip, T_world_object: np.ndarray) -> Grip | None:
         """The grasp as the arm reaches it; None where one of fewer than six joints does not.
