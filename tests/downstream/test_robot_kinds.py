@@ -18,14 +18,25 @@ from cluttergen_jax.cli.main import main
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.check import check_reach, region_for, usable_robot
 from cluttergen_jax.downstream.robot.description import find_robot, read_robot
+from cluttergen_jax.downstream.robot.episode import stand_beside
 from cluttergen_jax.downstream.robot.grasping.candidates import candidates_of
 from cluttergen_jax.downstream.robot.gripper import gripper_of
-from cluttergen_jax.downstream.robot.model import Robot, arm_spec, base_pose, hand_spec
+from cluttergen_jax.downstream.robot.model import (
+    _PEDESTAL_RGBA,
+    Robot,
+    arm_spec,
+    base_pose,
+    hand_spec,
+)
 from cluttergen_jax.downstream.robot.motion.collision import Mode, PlanningWorld
+from cluttergen_jax.downstream.robot.motion.execute import Execution, Trace
 from cluttergen_jax.downstream.robot.motion.ik import TOLERANCE, ArmKinematics
+from cluttergen_jax.downstream.robot.recording import EpisodeRecording
 from cluttergen_jax.downstream.transforms import angle_between, inverse, rigid
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import yaw_matrix
+from cluttergen_jax.scene import Scene
+from tests.helpers.placing import write_bank
 from tests.helpers.worlds import box
 
 OWN = Path(__file__).parents[2] / "examples" / "own_robot"
@@ -284,6 +295,30 @@ def test_attributes_that_mujoco_does_not_know_are_left_out_and_named(made, capsy
     assert "'group' of <default>" in told
     assert "'colour' of <body>" in told
     assert gripper_of(robot).max_opening == pytest.approx(0.045, abs=1e-3)
+
+
+def pillars(model):
+    """The heights of what is drawn below robots and stands."""
+    is_pillar = (model.geom_rgba == np.float32(_PEDESTAL_RGBA)).all(1) & (model.geom_contype == 0)
+    return sorted(2 * model.geom_size[is_pillar, 2])
+
+
+def test_recordings_and_environments_stand_on_pedestals_as_films_do(tmp_path):
+    table = cuboid_table()
+    cube = box("cube", (0.02, 0.02, 0.02))
+    scene = Scene(("cube",), (cube,), np.array([[0, 0, table.top + 0.02, 1, 0, 0, 0]]), table)
+    stand = stand_beside(table)
+    trace = Trace(48)
+    Execution(scene, 0, (stand,), trace)
+    trace.states.append(trace.data.qpos.copy())
+    low = stand.center[2] - stand.half_extents[2]
+    expected = pytest.approx([low, table.top])
+    assert pillars(trace.spec_on_pedestals().compile()) == expected
+    assert pillars(EpisodeRecording(0, "", True, trace, {})._model) == expected
+    assert pillars(trace.spec.compile()) == []
+    bank = cg.load_bank(write_bank(tmp_path / "bank", 2).path)
+    world = cg.robot.with_robot(bank, stands=(stand,))
+    assert pillars(world.model) == expected
 
 
 @pytest.mark.parametrize("name", ["so101", "gen3", "xarm7"])

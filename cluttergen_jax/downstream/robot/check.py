@@ -158,7 +158,7 @@ def check_robot_whole(
     base = base_pose(support, found)
     kinematics = ArmKinematics(base, found)
     reached = _reached(kinematics, support, seed)
-    cube = _cube(min(_LARGEST_CUBE, round(gripper.max_opening, 3)))
+    cube = _cube(min(_LARGEST_CUBE, round(gripper.max_opening, 3)) / 2)
     scene = Scene(("cube",), (cube,), _standing(cube, support), support)
     with Rollout(nthread=num_threads) as pool:
         grasps = make_grasps(cube, _NUM_GRASPS, seed, pool, found)

@@ -172,7 +172,7 @@ _MOST_HEIGHT = 1.0
 
 @dataclass(frozen=True)
 class ArmDescription:
-    """An arm of n joints, the first of which turns about the vertical.
+    """An arm of n joints.
 
     Attributes:
       file: its model in MJCF, with its base at the origin, looking along x; relative to the robot's own file,
@@ -287,7 +287,8 @@ class RobotScenes:
 
     Attributes:
       support: as of `generate`. region: metres of its middle, x and y, that the robot reaches.
-      num_objects: in each scene. pool: where they are from. objects: which of them it can hold, as of `generate`.
+      num_objects: in each scene. pool: where they are from. objects: which of them it can hold, as of
+        `generate`.
     """
 
     support: str
