@@ -24,6 +24,7 @@ from cluttergen_jax.downstream.robot.episode import EpisodeResult, robot_episode
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps, make_grasps
 from cluttergen_jax.downstream.robot.gripper import Gripper, gripper_of
 from cluttergen_jax.downstream.robot.model import (
+    Robot,
     add_pedestals,
     base_pose,
     hand_spec,
@@ -58,6 +59,8 @@ _GREEN = (0.2, 0.65, 0.3)
 _RED = (0.85, 0.2, 0.15)
 _SIZE = (560, 420)
 _EVERY = 48
+_LINK = 0.06
+"""Metres around the middles of an arm's links that are in the picture."""
 
 
 @dataclass(frozen=True)
@@ -307,11 +310,22 @@ def _picture(
         for x, y, z, is_reached in reached
     ]
     for model, state, shown in ((ends[0], start, trails), (ends[1], trace.data.qpos, [])):
+        arm = _links(model, state, robot)
+        focus = np.concatenate([arm - _LINK, arm + _LINK, reached[:, :3]])
         pictures.append(
             render_model(
-                model, state[: model.nq], width=width, height=height, samples=8, trails=shown
+                model, state, width=width, height=height, samples=8, trails=shown, focus=focus
             )
         )
     count = int(reached[:, 3].sum())
     captions = [f"{robot.name}: {count} of {len(reached)} poses reached", "the cube in the end"]
     return contact_sheet(pictures, captions, 2)
+
+
+def _links(model: mujoco.MjModel, state: np.ndarray, robot: RobotDescription) -> np.ndarray:
+    """f64[L, 3]: where the links of the arm are."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = state
+    mujoco.mj_kinematics(model, data)
+    found: np.ndarray = data.xpos[Robot.of(model, robot).is_arm]
+    return found

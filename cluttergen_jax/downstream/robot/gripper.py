@@ -23,6 +23,10 @@ SPARE = 0.01
 # Controls at which a gripper is looked at, and seconds that it has for each.
 _ROWS = 64
 _SETTLING = 0.25
+_OPENING = 4.0
+"""Seconds that it has to open."""
+_STILL = 0.01
+"""Radians or metres a second up to which it does not move."""
 
 _LEAST_STEP = 1e-4
 """Metres by which a row is narrower than the one before it."""
@@ -157,7 +161,9 @@ def _close(model: mujoco.MjModel, robot: RobotDescription) -> GripperTable:
     rows: list[tuple[float, float, tuple[float, ...], float, float]] = []
     for control in np.linspace(given.open, given.closed, _ROWS):
         data.ctrl[0] = control
-        for _ in range(round(_SETTLING / model.opt.timestep)):
+        mujoco.mj_step(model, data, round(_SETTLING / model.opt.timestep))
+        while not rows and np.abs(data.qvel).max() > _STILL and data.time < _OPENING:
+            # A model need not begin open.
             mujoco.mj_step(model, data)
         mujoco.mj_forward(model, data)
         width = mujoco.mj_geomDistance(model, data, *pads, _FAR, line)
