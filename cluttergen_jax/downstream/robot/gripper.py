@@ -190,11 +190,13 @@ def _close(model: mujoco.MjModel, robot: RobotDescription) -> GripperTable:
     _check_direction(robot, middle, between)
     widths, controls, joints, depths, sides = zip(*reversed(rows), strict=True)
     is_even = max(map(abs, sides)) < _ALIKE
+    # Of two fingers the description says where they are wide open; a jaw that swings is somewhere else then.
+    origin = depths[-1] if is_even else float(tool[:3, 3] @ approach)
     return GripperTable(
         (0.0, *widths[1:]),
         controls,
         joints,
-        tuple(each - depths[-1] for each in depths),
+        tuple(each - origin for each in depths),
         () if is_even else sides,
     )
 

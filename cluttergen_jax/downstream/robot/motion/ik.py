@@ -121,11 +121,17 @@ class ArmKinematics:
         """
         joints = self._descend(self._task, T_world_tool, start, 3)
         if joints is None and self.is_short:
-            pivot = pose_of(self._hand_to_tool @ T_tool_pivot)
-            self._model.site_pos[self._pivot] = pivot[:3]
-            self._model.site_quat[self._pivot] = pivot[3:]
-            joints = self._descend(self._turning, T_world_tool @ T_tool_pivot, start, 2)
+            joints = self._turn(T_world_tool, start, T_tool_pivot)
         return joints
+
+    def _turn(
+        self, T_world_tool: np.ndarray, start: np.ndarray, T_tool_pivot: np.ndarray
+    ) -> np.ndarray | None:
+        """Joints f64[n] that bring the tool there but for a turn about the pivot's z."""
+        pivot = pose_of(self._hand_to_tool @ T_tool_pivot)
+        self._model.site_pos[self._pivot] = pivot[:3]
+        self._model.site_quat[self._pivot] = pivot[3:]
+        return self._descend(self._turning, T_world_tool @ T_tool_pivot, start, 2)
 
     def _descend(
         self, task: Any, T_world_frame: np.ndarray, start: np.ndarray, num_turns: int
@@ -162,6 +168,17 @@ class ArmKinematics:
         Args:
           T_tool_pivot: see `solve`.
         """
+        found = False
+        for joints in self._search(T_world_tool, number, None):
+            found = True
+            yield joints
+        if self.is_short and not found:
+            yield from self._search(T_world_tool, number, T_tool_pivot)
+
+    def _search(
+        self, T_world_tool: np.ndarray, number: int, T_tool_pivot: np.ndarray | None
+    ) -> Iterator[np.ndarray]:
+        """Those that bring the tool there, or where it is but for a turn about a pivot's z."""
         starts = self._starts(self._T_base_world @ T_world_tool)
         found: list[np.ndarray] = []
         for _ in range(min(2 * number, len(starts))):
@@ -170,7 +187,12 @@ class ArmKinematics:
                 min((float(np.linalg.norm(start - each)) for each in found), default=0.0)
                 for start in starts
             ]
-            joints = self.solve(T_world_tool, starts.pop(int(np.argmax(unlike))), T_tool_pivot)
+            start = starts.pop(int(np.argmax(unlike)))
+            joints = (
+                self._descend(self._task, T_world_tool, start, 3)
+                if T_tool_pivot is None
+                else self._turn(T_world_tool, start, T_tool_pivot)
+            )
             if joints is None or any(np.abs(joints - each).max() <= 0.2 for each in found):
                 continue
             found.append(joints)

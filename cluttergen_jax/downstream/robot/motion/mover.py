@@ -184,11 +184,9 @@ class Mover:
         if not self.kinematics.is_short:
             return grip
         wanted = T_world_object @ grip.T_object_tool
-        joints = next(self.kinematics.solutions(wanted, 1), None)
-        if joints is None:
-            return None
-        reached = self.kinematics.tool(joints)
-        if angle_between(reached, wanted) > _MOST_TURNED:
+        poses = [self.kinematics.tool(q) for q in self.kinematics.solutions(wanted, _ARMS)]
+        reached = min(poses, key=lambda pose: float(angle_between(pose, wanted)), default=None)
+        if reached is None or angle_between(reached, wanted) > _MOST_TURNED:
             return None
         turned = inverse(wanted) @ reached
         return grip._replace(
@@ -205,7 +203,7 @@ class Mover:
             return place
         target = _tool_at(place, T_tool_object)
         pivot = _upright_at(place, T_tool_object)
-        joints = next(self.kinematics.solutions(target, 1, pivot), None)
+        joints = next(self.kinematics.solutions(target, _ARMS, pivot), None)
         if joints is None:
             return None
         turned = self.kinematics.tool(joints) @ T_tool_object @ inverse(place)
