@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ from cluttergen_jax.downstream.robot.description import (
     compile_model,
 )
 from cluttergen_jax.downstream.robot.model import TOOL, Robot, arm_spec
-from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of, rigid
+from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
 from cluttergen_jax.errors import MissingExtraError
 
 # Metres and radians that a solution may be off.
@@ -43,8 +43,12 @@ _FULL = 6
 _PIVOT = "pivot"
 _PIVOT_COST = (0.5, 0.5, 0.005)
 """Of turns about the axes of a frame about whose z an arm of fewer joints may turn."""
-ABOUT_FINGERS = rigid(np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), np.zeros(3))
-"""T_tool_pivot: the pads hold as well however the hand has turned about the line between them."""
+_NEAR_COST = (0.02, 0.004, 0.02)
+"""The same of the tool where an arm of fewer joints comes near: the pads hold as well however the hand has
+turned about the line between them, its y."""
+MOST_ASKEW = np.radians(6)
+"""Radians that this line may be off then."""
+_AT_REST = 1e-4
 
 
 def import_extra(module: str, purpose: str) -> Any:
@@ -87,6 +91,13 @@ class ArmKinematics:
             orientation_cost=_PIVOT_COST,
             lm_damping=1e-6,
         )
+        self._nearing = mink.FrameTask(
+            self._robot.of_gripper(TOOL),
+            "site",
+            position_cost=1.0,
+            orientation_cost=_NEAR_COST,
+            lm_damping=1e-6,
+        )
         self._pivot = model.site(self._robot.of_gripper(_PIVOT)).id
         self._hand_to_tool = matrix_of(np.array(self._robot.gripper.tool))
         still = np.setdiff1d(np.arange(model.nv), arm.dofs)
@@ -111,23 +122,27 @@ class ArmKinematics:
         return self.T_world_base @ self._arm.tool(self._data)
 
     def solve(
-        self, T_world_tool: np.ndarray, start: np.ndarray, T_tool_pivot: np.ndarray = ABOUT_FINGERS
+        self, T_world_tool: np.ndarray, start: np.ndarray, T_tool_pivot: np.ndarray | None = None
     ) -> np.ndarray | None:
         """Joints f64[n] that bring the tool there, near to `start`; None where none were found.
 
+        An arm of fewer than six joints that cannot bring the tool there brings it to the place and turns it
+        as it can, mostly about the line between the pads (`tool` tells how it is turned then).
+
         Args:
-          T_tool_pivot: f64[4, 4]; an arm of fewer than six joints that cannot bring the tool there turns it
-            about the z axis of this frame, until it can (`tool` tells where it is then).
+          T_tool_pivot: f64[4, 4]; such an arm may turn it about the z axis of this frame, and only so.
         """
         joints = self._descend(self._task, T_world_tool, start, 3)
         if joints is None and self.is_short:
-            joints = self._turn(T_world_tool, start, T_tool_pivot)
+            joints = self._reduced(T_world_tool, start, T_tool_pivot)
         return joints
 
-    def _turn(
-        self, T_world_tool: np.ndarray, start: np.ndarray, T_tool_pivot: np.ndarray
+    def _reduced(
+        self, T_world_tool: np.ndarray, start: np.ndarray, T_tool_pivot: np.ndarray | None
     ) -> np.ndarray | None:
-        """Joints f64[n] that bring the tool there but for a turn about the pivot's z."""
+        """Joints f64[n] of an arm that cannot bring the tool there: see `solve`."""
+        if T_tool_pivot is None:
+            return self._come_near(T_world_tool, start)
         pivot = pose_of(self._hand_to_tool @ T_tool_pivot)
         self._model.site_pos[self._pivot] = pivot[:3]
         self._model.site_quat[self._pivot] = pivot[3:]
@@ -147,21 +162,45 @@ class ArmKinematics:
             off = error[3 : 3 + num_turns]
             if np.linalg.norm(error[:3]) < TOLERANCE and np.linalg.norm(off) < TURN_TOLERANCE:
                 joints = self._state.q[self._arm.qpos]
-                return joints if ((joints >= self.low) & (joints <= self.high)).all() else None
-            speed = self._solve_ik(
-                self._state,
-                [task],
-                1.0,
-                "daqp",
-                damping=1e-8,
-                limits=self._limits,
-                constraints=self._fixed,
-            )
-            self._state.integrate_inplace(speed, _GAIN)
+                return joints if self._allows(joints) else None
+            self._step(task)
         return None
 
+    def _come_near(self, T_world_tool: np.ndarray, start: np.ndarray) -> np.ndarray | None:
+        """Joints f64[n] that bring the tool to its place, turned as little as they can."""
+        target = pose_of(self._T_base_world @ T_world_tool)
+        self._nearing.set_target(self._SE3(wxyz_xyz=np.concatenate([target[3:], target[:3]])))
+        state = np.zeros(self._model.nq)
+        state[self._arm.qpos] = np.clip(start, self.low, self.high)
+        self._state.update(state)
+        for _ in range(2 * _ITERATIONS):
+            before = self._state.q[self._arm.qpos]
+            self._step(self._nearing)
+            if np.abs(self._state.q[self._arm.qpos] - before).max() < _AT_REST:
+                break
+        error = self._nearing.compute_error(self._state)
+        joints = self._state.q[self._arm.qpos]
+        is_there = np.linalg.norm(error[:3]) < TOLERANCE and np.hypot(*error[3::2]) < MOST_ASKEW
+        return joints if is_there and self._allows(joints) else None
+
+    def _step(self, task: Any) -> None:
+        """One step towards what a task wants."""
+        speed = self._solve_ik(
+            self._state,
+            [task],
+            1.0,
+            "daqp",
+            damping=1e-8,
+            limits=self._limits,
+            constraints=self._fixed,
+        )
+        self._state.integrate_inplace(speed, _GAIN)
+
+    def _allows(self, joints: np.ndarray) -> bool:
+        return bool(((joints >= self.low) & (joints <= self.high)).all())
+
     def solutions(
-        self, T_world_tool: np.ndarray, number: int, T_tool_pivot: np.ndarray = ABOUT_FINGERS
+        self, T_world_tool: np.ndarray, number: int, T_tool_pivot: np.ndarray | None = None
     ) -> Iterator[np.ndarray]:
         """Up to so many different solutions, f64[n] each, unlike one another where the arm allows it.
 
@@ -169,16 +208,23 @@ class ArmKinematics:
           T_tool_pivot: see `solve`.
         """
         found = False
-        for joints in self._search(T_world_tool, number, None):
+        for joints in self._search(
+            T_world_tool, number, lambda start: self._descend(self._task, T_world_tool, start, 3)
+        ):
             found = True
             yield joints
         if self.is_short and not found:
-            yield from self._search(T_world_tool, number, T_tool_pivot)
+            yield from self._search(
+                T_world_tool, number, lambda start: self._reduced(T_world_tool, start, T_tool_pivot)
+            )
 
     def _search(
-        self, T_world_tool: np.ndarray, number: int, T_tool_pivot: np.ndarray | None
+        self,
+        T_world_tool: np.ndarray,
+        number: int,
+        solve: Callable[[np.ndarray], np.ndarray | None],
     ) -> Iterator[np.ndarray]:
-        """Those that bring the tool there, or where it is but for a turn about a pivot's z."""
+        """Those that a solver finds from starts f64[n] near to a pose."""
         starts = self._starts(self._T_base_world @ T_world_tool)
         found: list[np.ndarray] = []
         for _ in range(min(2 * number, len(starts))):
@@ -187,12 +233,7 @@ class ArmKinematics:
                 min((float(np.linalg.norm(start - each)) for each in found), default=0.0)
                 for start in starts
             ]
-            start = starts.pop(int(np.argmax(unlike)))
-            joints = (
-                self._descend(self._task, T_world_tool, start, 3)
-                if T_tool_pivot is None
-                else self._turn(T_world_tool, start, T_tool_pivot)
-            )
+            joints = solve(starts.pop(int(np.argmax(unlike))))
             if joints is None or any(np.abs(joints - each).max() <= 0.2 for each in found):
                 continue
             found.append(joints)

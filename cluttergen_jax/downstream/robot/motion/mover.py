@@ -51,7 +51,7 @@ _LEVEL = 0.05
 GENTLE_SHARE = 0.12
 """The same where it is not seen how what is held swings between the fingers."""
 _UP = np.array([0.0, 0.0, 1.0])
-_MOST_TURNED = np.radians(40)
+_MOST_TURNED = np.radians(60)
 """By which an arm of fewer than six joints turns a grasp about the line between the pads to reach it."""
 _ARMS = 3
 """Solutions of the inverse kinematics that are tried for a pose."""
