@@ -180,6 +180,9 @@ def _prepare(spec: mujoco.MjSpec, contact: ContactConfig) -> None:
         for geom in body.geoms if drawn else ():
             is_solid = geom.contype or geom.conaffinity
             geom.group = _HIDDEN_GROUP if is_solid else geom.group
+    for site in spec.sites:
+        # Some models draw the axes of their hands.
+        site.group = _HIDDEN_GROUP
     _pass_over_joints(spec)
     _for_holding(spec)
 
