@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import mujoco
@@ -18,7 +18,7 @@ from cluttergen_jax.downstream.robot.description import (
     compile_model,
 )
 from cluttergen_jax.downstream.robot.model import TOOL, Robot, arm_spec
-from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
+from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of, turn_matrix
 from cluttergen_jax.errors import MissingExtraError
 
 # Metres and radians that a solution may be off.
@@ -49,6 +49,8 @@ turned about the line between them, its y."""
 MOST_ASKEW = np.radians(6)
 """Radians that this line may be off then."""
 _AT_REST = 1e-4
+_TURNS = tuple(np.radians([0, 45, -45, 90, -90, 135, -135, 180]))
+"""About a pivot, from each of which one solution is sought."""
 
 
 def import_extra(module: str, purpose: str) -> Any:
@@ -214,9 +216,16 @@ class ArmKinematics:
             found = True
             yield joints
         if self.is_short and not found:
-            yield from self._search(
-                T_world_tool, number, lambda start: self._reduced(T_world_tool, start, T_tool_pivot)
-            )
+            turned = [T_world_tool]
+            if T_tool_pivot is not None:
+                T_world_pivot = T_world_tool @ T_tool_pivot
+                back = inverse(T_tool_pivot)
+                turned = [T_world_pivot @ turn_matrix(angle) @ back for angle in _TURNS]
+                number = 1
+            for pose in turned:
+                yield from self._search(
+                    pose, number, partial(self._reduced, pose, T_tool_pivot=T_tool_pivot)
+                )
 
     def _search(
         self,
