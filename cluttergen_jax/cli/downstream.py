@@ -9,7 +9,12 @@ from tyro.conf import Positional
 from cluttergen_jax.cli.options import Group, Options, command
 from cluttergen_jax.downstream.placer.api import placer_data, placer_eval, placer_train
 from cluttergen_jax.downstream.rearrange.api import rearrange
-from cluttergen_jax.downstream.robot.api import grasp_dataset, robot_grasps, robot_place
+from cluttergen_jax.downstream.robot.api import (
+    grasp_dataset,
+    robot_check,
+    robot_grasps,
+    robot_place,
+)
 from cluttergen_jax.downstream.words import RobotObserver
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.spec import in_groups
@@ -100,12 +105,28 @@ def make_grasp_dataset(options: Options) -> None:
     print(options.call(grasp_dataset))
 
 
+@command(robot_check, robot=Positional[str])
+def try_robot(options: Options) -> int:
+    """Try the description of a robot: its hand, its reach, a cube (extra `robot`). Exit status 1 if it fails.
+
+    Example: `cluttergen robot check examples/own_robot/robot.yaml --picture robot.png`
+    """
+    found = options.call(robot_check)
+    print(found)
+    return 0 if found.is_good else 1
+
+
 run_robot = Group(
-    """A robot arm in simulation: `robot grasps`, `robot place` and `robot dataset`.
+    """A robot arm in simulation: `robot grasps`, `robot place`, `robot dataset` and `robot check`.
 
     Example: `cluttergen robot grasps household`
     """,
-    {"grasps": find_grasps, "place": move_objects, "dataset": make_grasp_dataset},
+    {
+        "grasps": find_grasps,
+        "place": move_objects,
+        "dataset": make_grasp_dataset,
+        "check": try_robot,
+    },
 )
 
 

@@ -21,11 +21,12 @@ from cluttergen_jax.downstream.environments.randomization import (
     prepare,
 )
 from cluttergen_jax.downstream.robot.cameras import SIZE, wrist_camera
+from cluttergen_jax.downstream.robot.check import usable_robot
 from cluttergen_jax.downstream.robot.description import RobotDescription, RobotLike, find_robot
 from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.robot.model import Robot as Arm
+from cluttergen_jax.downstream.robot.model import add_pedestals, base_pose, remove_unused_meshes
 from cluttergen_jax.downstream.robot.model import arm_spec as whole_arm
-from cluttergen_jax.downstream.robot.model import base_pose, remove_unused_meshes
 from cluttergen_jax.downstream.robot.motion.collision import add_stand
 from cluttergen_jax.downstream.words import check_choice
 from cluttergen_jax.errors import ConfigError
@@ -295,7 +296,7 @@ def with_robot(
             "None or a RandomizationConfig",
             "cg.robot.RandomizationConfig()",
         )
-    found = find_robot(robot)
+    found = usable_robot(robot)
     contact = bank.waiting_scene().contact
     spec = bank.to_mjspec()
     child = arm_spec(contact, found, is_simple=physics == "learning")
@@ -315,6 +316,7 @@ def with_robot(
     spec.attach(
         child, prefix=found.prefix, frame=spec.worldbody.add_frame(pos=base[:3], quat=base[3:])
     )
+    add_pedestals(spec, base, stands)
     if randomization is not None:
         prepare(spec, randomization)
     add_lighting(spec)

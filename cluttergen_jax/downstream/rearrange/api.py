@@ -151,7 +151,7 @@ def rearrange(
 
     from cluttergen_jax.downstream.rearrange.task import SETTINGS, RearrangeOptions
     from cluttergen_jax.downstream.rearrange.trials import run_rearrangements
-    from cluttergen_jax.downstream.robot import RecordAsked, check_films, find_robot
+    from cluttergen_jax.downstream.robot import RecordAsked, check_films, usable_robot
 
     check_folder(out)
     check_workers("num_threads", num_threads)
@@ -177,7 +177,7 @@ def rearrange(
             )
     if noise is not None:
         check_factor(noise)
-    described = find_robot(robot)
+    described = usable_robot(robot)
     found, told, usual = _own_scenes(bank, pool, support, target, str(goals), setting)
     recorded = RecordAsked.of(record, record_format, record_cameras)
     if films or show_layouts:

@@ -6,6 +6,7 @@ from cluttergen_jax.lazy import offer
 
 if TYPE_CHECKING:
     from cluttergen_jax.downstream.robot.cameras import above, wrist_camera
+    from cluttergen_jax.downstream.robot.check import RobotCheck, usable_robot
     from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
     from cluttergen_jax.downstream.robot.episode import WATCHED
     from cluttergen_jax.downstream.robot.film import check_films
@@ -43,6 +44,7 @@ __getattr__, __all__ = offer(
     __name__,
     {
         "cameras": ("above", "wrist_camera"),
+        "check": ("RobotCheck", "usable_robot"),
         "description": ("RobotDescription", "find_robot"),
         "episode": ("WATCHED",),
         "film": ("check_films",),

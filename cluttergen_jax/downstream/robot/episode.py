@@ -271,7 +271,7 @@ def _place(world: EpisodeWorld, grasps: Grasps, wanted: np.ndarray) -> None:
     world.mover.pick(world.mover.find_pick(grasps, wanted))
     world.check_others()
     used = world.mover.place(wanted)
-    world.put = Put(used, wanted[used])
+    world.put = Put(used, world.mover.put)
     world.check_others()
     world.check_placed()
 

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.config import FilmFormat
-from cluttergen_jax.downstream.robot.model import TIMESTEP, Robot, add_pedestal, base_pose
+from cluttergen_jax.downstream.robot.model import TIMESTEP, Robot
 from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.outcome import EpisodeRow, check_repeated, ending_of
 from cluttergen_jax.files import inside
@@ -137,7 +137,7 @@ class Films(Generic[RowT]):
 
 def episode_frames(trace: Trace, title: str, row: EpisodeRow) -> Iterator[np.ndarray]:
     """Pictures u8[360, 480, 3] of an episode, with what the hand holds, the time, and at last the outcome."""
-    model = add_lighting(_with_pedestals(trace)).compile()
+    model = add_lighting(trace.spec_on_pedestals()).compile()
     # Each shadow costs more than all else of a picture without a GPU.
     model.light_castshadow[:] = False
     model.light_castshadow[model.light(KEY_LIGHT).id] = True
@@ -173,17 +173,6 @@ def episode_frames(trace: Trace, title: str, row: EpisodeRow) -> Iterator[np.nda
         text = f"{title}: {ending_of(row)}, {row.seconds:.1f} s"
         last = frame_of(trace.data.qpos, text, GREEN if row.is_success else RED)
         yield from [last] * round(_HELD * FPS)
-
-
-def _with_pedestals(trace: Trace) -> mujoco.MjSpec:
-    """What was simulated, on pillars below the arm and the stands, which would float beside the table."""
-    support = trace.scene.support
-    spec = trace.spec.copy()
-    add_pedestal(spec, base_pose(support, trace.robot)[:3], support.region.yaw)
-    for box in trace.stands:
-        low = np.array([*box.center[:2], box.center[2] - box.half_extents[2]])
-        add_pedestal(spec, low, box.yaw, min(box.half_extents[:2]))
-    return spec
 
 
 def _content(trace: Trace, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:

@@ -15,7 +15,7 @@ from cluttergen_jax.downstream.robot.description import (
     compile_model,
 )
 from cluttergen_jax.downstream.robot.model import hand_spec
-from cluttergen_jax.downstream.transforms import matrix_of
+from cluttergen_jax.downstream.transforms import matrix_of, pose_of, rigid
 from cluttergen_jax.errors import ConfigError
 
 SPARE = 0.01
@@ -23,9 +23,20 @@ SPARE = 0.01
 # Controls at which a gripper is looked at, and seconds that it has for each.
 _ROWS = 64
 _SETTLING = 0.25
+_OPENING = 4.0
+"""Seconds that it has to open."""
+_STILL = 0.01
+"""Radians or metres a second up to which it does not move."""
 
 _LEAST_STEP = 1e-4
 """Metres by which a row is narrower than the one before it."""
+_ALIKE = 5e-4
+"""Metres from the tool's axis up to which the middle between two pads counts as on it."""
+_GAP = 0.003
+"""Metres that a pad which hardly moves keeps from an object as the hand comes to it."""
+_SEEN = 0.005
+"""Metres between the pads from which on the direction between them is looked at."""
+_MOST_ASKEW = np.radians(30)
 _FAR = 1.0
 
 
@@ -36,6 +47,7 @@ class Gripper:
     Attributes:
       opening: f64[T], metres that each pad is from the middle. control: f64[T]. joints: f64[T, k].
       depth: f64[T], metres that the pads are before the tool's origin.
+      side: f64[T], metres that the middle between the pads is from the tool's axis, along the tool's y.
       driven: which of the joints tell how far it is open. closed: the control that closes it.
       T_hand_tool: f64[4, 4].
     """
@@ -44,6 +56,7 @@ class Gripper:
     control: np.ndarray
     joints: np.ndarray
     depth: np.ndarray
+    side: np.ndarray
     driven: np.ndarray
     closed: float
     T_hand_tool: np.ndarray
@@ -77,6 +90,30 @@ class Gripper:
         """f64[...]: metres that the pads are before the tool's origin, so far apart."""
         return np.interp(np.asarray(width) / 2, self.opening, self.depth)
 
+    def side_of(self, width: np.ndarray | float) -> np.ndarray:
+        """f64[...]: metres along the tool's y from its axis to the middle between the pads, so far apart."""
+        return np.interp(np.asarray(width) / 2, self.opening, self.side)
+
+    def shift_of(self, width: np.ndarray | float) -> np.ndarray:
+        """f64[...]: metres along the tool's y from its axis to the middle of what the hand comes to.
+
+        It is where the pads will meet it, but that a pad which hardly moves must not scrape along it.
+        """
+        width = np.asarray(width)
+        meet = self.side_of(width)
+        if self.is_even:
+            return meet
+        opening = self.opening_of(width)
+        spare = opening - width / 2
+        middle = self.side_of(2 * opening)
+        room = np.maximum(spare - _GAP, 0.0)
+        return np.clip(meet, middle - room, middle + room)
+
+    @property
+    def is_even(self) -> bool:
+        """Both pads move alike: half a turn about the approach makes no difference."""
+        return not self.side.any()
+
     def measure(self, joints: np.ndarray) -> float:
         """Metres that each pad is from the middle at joints f64[k]."""
         drive = self.joints[:, self.driven].mean(1)
@@ -105,11 +142,10 @@ def gripper_of(robot: RobotDescription) -> Gripper:
             f"robot {robot.name}: gripper.table.joints of {joints.shape[1]}",
             f"{model.nq}, as its model has",
         )
-    columns = (np.array(each) for each in (table.width, table.control, table.depth))
-    width, control, depth = columns
-    return Gripper(
-        width / 2, control, joints, depth, driven, given.closed, matrix_of(np.array(given.tool))
-    )
+    columns = (table.width, table.control, table.depth, table.side or np.zeros(len(joints)))
+    width, control, depth, side = (np.array(each) for each in columns)
+    tool = matrix_of(np.array(given.tool))
+    return Gripper(width / 2, control, joints, depth, side, driven, given.closed, tool)
 
 
 def _close(model: mujoco.MjModel, robot: RobotDescription) -> GripperTable:
@@ -119,18 +155,29 @@ def _close(model: mujoco.MjModel, robot: RobotDescription) -> GripperTable:
     model.opt.gravity = 0
     pads = [model.geom(name).id for name in given.pads]
     line = np.zeros(6)
-    approach = matrix_of(np.array(given.tool))[:3, 2]
-    rows: list[tuple[float, float, tuple[float, ...], float]] = []
+    tool = matrix_of(np.array(given.tool))
+    approach = tool[:3, 2]
+    middle = between = tool[:3, 1]
+    rows: list[tuple[float, float, tuple[float, ...], float, float]] = []
     for control in np.linspace(given.open, given.closed, _ROWS):
         data.ctrl[0] = control
-        for _ in range(round(_SETTLING / model.opt.timestep)):
+        mujoco.mj_step(model, data, round(_SETTLING / model.opt.timestep))
+        while not rows and np.abs(data.qvel).max() > _STILL and data.time < _OPENING:
+            # A model need not begin open.
             mujoco.mj_step(model, data)
         mujoco.mj_forward(model, data)
         width = mujoco.mj_geomDistance(model, data, *pads, _FAR, line)
         depth = float(data.geom_xpos[pads].mean(0) @ approach)
         if rows and width > rows[-1][0] - _LEAST_STEP:
             continue
-        rows.append((max(float(width), 0.0), float(control), tuple(data.qpos.tolist()), depth))
+        ends = line.reshape(2, 3)
+        if width > _SEEN:
+            middle = data.geom_xpos[pads].mean(0)
+            between = (ends[1] - ends[0]) / width
+        side = float((ends.mean(0) - tool[:3, 3]) @ tool[:3, 1])
+        rows.append(
+            (max(float(width), 0.0), float(control), tuple(data.qpos.tolist()), depth, side)
+        )
         if width < _LEAST_STEP:
             break
     if len(rows) < 2 or rows[-1][0] > _LEAST_STEP:
@@ -140,7 +187,33 @@ def _close(model: mujoco.MjModel, robot: RobotDescription) -> GripperTable:
             "pads that meet",
             "exchanging `open` and `closed`, or other `pads`",
         )
-    widths, controls, joints, depths = zip(*reversed(rows), strict=True)
+    _check_direction(robot, middle, between)
+    widths, controls, joints, depths, sides = zip(*reversed(rows), strict=True)
+    is_even = max(map(abs, sides)) < _ALIKE
+    # Of two fingers the description says where they are wide open; a jaw that swings is somewhere else then.
+    origin = depths[-1] if is_even else float(tool[:3, 3] @ approach)
     return GripperTable(
-        (0.0, *widths[1:]), controls, joints, tuple(each - depths[-1] for each in depths)
+        (0.0, *widths[1:]),
+        controls,
+        joints,
+        tuple(each - origin for each in depths),
+        () if is_even else sides,
+    )
+
+
+def _check_direction(robot: RobotDescription, middle: np.ndarray, between: np.ndarray) -> None:
+    """Refuses a tool whose y is not the direction from pad to pad; f64[3] each, in the hand's frame."""
+    tool = matrix_of(np.array(robot.gripper.tool))
+    if abs(between @ tool[:3, 1]) >= np.cos(_MOST_ASKEW):
+        return
+    ahead = tool[:3, 2] if abs(between @ tool[:3, 2]) < np.cos(_MOST_ASKEW) else middle
+    across = np.cross(between, ahead)
+    across /= np.linalg.norm(across)
+    turn = np.stack([across, between, np.cross(across, between)], axis=1)
+    meant = pose_of(rigid(turn, middle)).round(4).tolist()
+    raise ConfigError(
+        f"robot {robot.name}: its pads close along {between.round(2).tolist()} of the hand's frame, and the "
+        f"y of gripper.tool is {tool[:3, 1].round(2).tolist()}",
+        f"the same, within {np.degrees(_MOST_ASKEW):.0f} degrees",
+        f"other `pads`, or tool: {meant}, if the hand comes along z of that",
     )

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets import VISUAL_GROUP, SupportAsset
+from cluttergen_jax.assets import VISUAL_GROUP, Box, SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.description import (
     GripperDescription,
@@ -31,6 +32,7 @@ IMPRATIO = 10.0
 """As Menagerie has it for the Panda. At 1, which scenes are made with, soft friction creeps by millimetres a
 second under what hangs beside the fingers."""
 _WORLD = "world"
+_OF_JOINTS = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
 _HIDDEN_GROUP = 3
 """Of shapes that only collide, as Menagerie has it; it and those above are not drawn."""
 # Metres, half of its side.
@@ -41,6 +43,7 @@ _PEDESTAL_RGBA = (0.36, 0.37, 0.39, 1.0)
 def arm_spec(contact: ContactConfig, robot: RobotDescription) -> mujoco.MjSpec:
     """A whole robot with its base at the origin."""
     spec = mujoco_spec(robot.arm.path)
+    _hold_still(spec, robot)
     if not robot.gripper.attach:
         _prepare_gripper(spec, robot.gripper)
     _prepare(spec, contact)
@@ -65,6 +68,7 @@ def hand_spec(contact: ContactConfig, robot: RobotDescription) -> mujoco.MjSpec:
     """The gripper alone, fixed in the world, its hand's frame the world's."""
     gripper = robot.gripper
     spec = mujoco_spec(gripper.path)
+    _cut_out(spec, gripper.body, robot.arm.joints)
     _prepare_gripper(spec, gripper)
     _prepare(spec, contact)
     hand = spec.body(gripper.body)
@@ -73,10 +77,92 @@ def hand_spec(contact: ContactConfig, robot: RobotDescription) -> mujoco.MjSpec:
     return spec
 
 
-def _prepare(spec: mujoco.MjSpec, contact: ContactConfig) -> None:
-    """Its weight carried by its motors, and contacts as the scene's."""
+def _hold_still(spec: mujoco.MjSpec, robot: RobotDescription) -> None:
+    """Takes away the joints of what is not part of the arm: of a base that drives, of a second arm."""
+    first = spec.joint(robot.arm.joints[0]).parent
+    moved = {joint.name for joint in (*first.joints, *_joints_below(first))}
+    others = [joint for joint in spec.joints if joint.name not in moved]
+    if others:
+        _delete_keys(spec)
+    for joint in others:
+        _delete_joint(spec, joint)
+
+
+def _cut_out(spec: mujoco.MjSpec, name: str, arm: tuple[str, ...]) -> None:
+    """Leaves a hand of a model, fixed in the world: of the arm that carries it nothing but empty bodies."""
+    hand = spec.body(name)
+    if hand.parent.name == _WORLD and len(spec.worldbody.bodies) == 1:
+        return
+    _delete_keys(spec)
+    for joint in [each for each in hand.joints if each.name in arm]:
+        _delete_joint(spec, joint)
+    below = hand
+    while below.name != _WORLD:
+        carrier = below.parent
+        for body in [each for each in carrier.bodies if not _carries(each, name)]:
+            _delete_body(spec, body)
+        for joint in [] if carrier.name == _WORLD else list(carrier.joints):
+            _delete_joint(spec, joint)
+        for element in (*carrier.geoms, *carrier.sites, *carrier.cameras, *carrier.lights):
+            spec.delete(element)
+        if carrier.name != _WORLD:
+            carrier.pos = (0, 0, 0)
+            carrier.quat = (1, 0, 0, 0)
+        below = carrier
+    _delete_lost(spec)
+
+
+def _carries(body: mujoco.MjsBody, name: str) -> bool:
+    """It is the body of that name, or that one hangs on it."""
+    return body.name == name or any(
+        each.name == name for each in body.find_all(mujoco.mjtObj.mjOBJ_BODY)
+    )
+
+
+def _delete_keys(spec: mujoco.MjSpec) -> None:
+    """They are of all joints."""
     for key in list(spec.keys):
         spec.delete(key)
+
+
+def _delete_lost(spec: mujoco.MjSpec) -> None:
+    """Takes away what refers to bodies that are no longer there, and sensors of what is not."""
+    known = {body.name for body in spec.bodies}
+    for pair in list(spec.excludes):
+        if not {pair.bodyname1, pair.bodyname2} <= known:
+            spec.delete(pair)
+    for tie in list(spec.equalities):
+        is_body = tie.objtype == mujoco.mjtObj.mjOBJ_BODY
+        if is_body and not {tie.name1, tie.name2 or _WORLD} <= known:
+            spec.delete(tie)
+    for sensor in list(spec.sensors):
+        spec.delete(sensor)
+
+
+def _joints_below(body: mujoco.MjsBody) -> list[mujoco.MjsJoint]:
+    return list(body.find_all(mujoco.mjtObj.mjOBJ_JOINT))
+
+
+def _delete_body(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
+    for joint in _joints_below(body):
+        _delete_joint(spec, joint)
+    spec.delete(body)
+
+
+def _delete_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
+    """Takes a joint away, and what moves it or ties it to others."""
+    for actuator in list(spec.actuators):
+        if actuator.trntype in _OF_JOINTS and actuator.target == joint.name:
+            spec.delete(actuator)
+    for tie in list(spec.equalities):
+        if tie.type == mujoco.mjtEq.mjEQ_JOINT and joint.name in (tie.name1, tie.name2):
+            spec.delete(tie)
+    spec.delete(joint)
+
+
+def _prepare(spec: mujoco.MjSpec, contact: ContactConfig) -> None:
+    """Its weight carried by its motors, and contacts as the scene's."""
+    _delete_keys(spec)
     for body in spec.bodies:
         body.gravcomp = 1.0
     # The default as well: what is added later, and friction of its own, go by it.
@@ -94,6 +180,9 @@ def _prepare(spec: mujoco.MjSpec, contact: ContactConfig) -> None:
         for geom in body.geoms if drawn else ():
             is_solid = geom.contype or geom.conaffinity
             geom.group = _HIDDEN_GROUP if is_solid else geom.group
+    for site in spec.sites:
+        # Some models draw the axes of their hands.
+        site.group = _HIDDEN_GROUP
     _pass_over_joints(spec)
     _for_holding(spec)
 
@@ -145,6 +234,11 @@ def _prepare_gripper(spec: mujoco.MjSpec, gripper: GripperDescription) -> None:
     if gripper.inertia is not None:
         for joint in gripper.joints:
             spec.joint(joint).armature = gripper.inertia
+    for name in gripper.pads:
+        # Of some models other programs switch the pads on.
+        pad = spec.geom(name)
+        pad.contype |= 1
+        pad.conaffinity |= 1
     spec.body(gripper.body).add_site(name=TOOL, pos=gripper.tool[:3], quat=gripper.tool[3:])
 
 
@@ -168,11 +262,11 @@ def copy_options(source: mujoco.MjSpec, target: mujoco.MjSpec) -> None:
 
 
 def base_pose(support: SupportAsset, robot: RobotDescription | None = None) -> np.ndarray:
-    """f64[7]: T_world_base, on the level of the support's top, looking at the region's centre."""
+    """f64[7]: T_world_base, beside the support as its description says, looking at the region's centre."""
     region = support.region
-    distance = (robot or find_robot()).distance
-    xy = region.center + rotate_in_plane(np.array([-distance, 0.0]), region.yaw)
-    return np.array([*xy, support.top, *yaw_quaternion(region.yaw)])
+    robot = robot or find_robot()
+    xy = region.center + rotate_in_plane(np.array([-robot.distance, 0.0]), region.yaw)
+    return np.array([*xy, support.top + robot.height, *yaw_quaternion(region.yaw)])
 
 
 def attach_robot(
@@ -223,12 +317,21 @@ def add_pedestal(
         )
 
 
+def add_pedestals(spec: mujoco.MjSpec, base: np.ndarray, stands: Sequence[Box] = ()) -> None:
+    """Draws pillars below a robot, whose base is at f64[7], and below stands (`add_pedestal`)."""
+    add_pedestal(spec, base[:3], 2 * float(np.arctan2(base[6], base[3])))
+    for box in stands:
+        low = np.array([*box.center[:2], box.center[2] - box.half_extents[2]])
+        add_pedestal(spec, low, box.yaw, min(box.half_extents[:2]))
+
+
 @dataclass(frozen=True, eq=False)
 class Robot:
     """Where a robot of n joints is found in a compiled model.
 
     Attributes:
-      qpos: i[n], of the arm's joints in `qpos`; fingers: i[k], of the gripper's, in the order of its model.
+      qpos: i[n], of the arm's joints in `qpos`; fingers: i[k], of the hand's joints that are not the arm's,
+        in the order of the gripper's model.
       dofs: i[n], of the arm's joints in `qvel`; finger_dofs: i[k].
       ctrl: i[n], of the arm's actuators; grip: of the gripper's.
       lag: f64[n], seconds by which each servo's damping lets its joint trail behind a moving set-point.
@@ -263,7 +366,11 @@ class Robot:
         hand = model.body(prefix + robot.of_gripper(robot.gripper.body)).id
         is_hand = bodies_of_tree(model, hand)
         root = int(model.body_rootid[hand])
-        fingers = [joint for joint in range(model.njnt) if is_hand[model.jnt_bodyid[joint]]]
+        fingers = [
+            joint
+            for joint in range(model.njnt)
+            if is_hand[model.jnt_bodyid[joint]] and joint not in arm
+        ]
         return cls(
             qpos=model.jnt_qposadr[arm],
             fingers=model.jnt_qposadr[fingers],

@@ -104,7 +104,7 @@ class EpisodeRecording:
 
     @cached_property
     def _model(self) -> mujoco.MjModel:
-        model = add_lighting(self.trace.spec.copy()).compile()
+        model = add_lighting(self.trace.spec_on_pedestals()).compile()
         # Shadows take six sevenths of the time of a picture without a GPU.
         model.light_castshadow[:] = False
         return model

@@ -17,7 +17,7 @@ from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.robot.model import Robot, arm_spec, attach_robot, base_pose
 from cluttergen_jax.downstream.robot.motion.collision import ROOMS, PlanningWorld
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
-from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
+from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics, first_axis
 from cluttergen_jax.downstream.robot.motion.mover import Mover
 from cluttergen_jax.downstream.robot.motion.plan import PickPlan
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
@@ -196,7 +196,7 @@ class SensingArm:
         if not len(places):
             raise Failed(Outcome.NO_PLACE)
         number = mover.place(places)
-        return number, places[number]
+        return number, mover.put
 
     def _look(self, camera: Camera) -> None:
         """Takes a picture; what it shows of the arm and the object is left out."""
@@ -210,7 +210,8 @@ class SensingArm:
         """Turns the arm at its base, at the height at which it waits: above all that stands on a table."""
         run = self.execution
         aside = run.set_point
-        aside[0] += _ASIDE
+        turn = _ASIDE * (first_axis(run.robot).sign or 1.0)
+        aside[0] = np.clip(aside[0] + turn, run.arm.low[0], run.arm.high[0])
         run.follow(np.linspace(run.set_point, aside, 8), Phase.FREE)
         run.wait(0.2, Phase.FREE)
 

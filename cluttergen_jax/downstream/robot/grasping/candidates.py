@@ -296,7 +296,9 @@ def draw_approaches(
     turn = np.stack([across, axis, approach], axis=-1)
     # The pads are where the tool's origin is, but for what they move along the approach as they close.
     back = shallow + gripper.depth_of(width)
-    pose = rigid(turn, middle - back[:, None] * approach)[keep]
+    # They close on the object's middle, and not on the tool's axis where one of them stands still.
+    aside = gripper.shift_of(width)
+    pose = rigid(turn, middle - back[:, None] * approach - aside[:, None] * axis)[keep]
     return GraspCandidates(pose, width[keep], np.zeros(len(pose), bool))
 
 

@@ -147,7 +147,9 @@ def check_grasps(
 def _points(gripper: Gripper, width: np.ndarray) -> np.ndarray:
     """f64[C, 4, 1]: the points between the pads in the hand's frame, homogeneous."""
     depth = gripper.depth_of(width)[:, None]
-    return (gripper.T_hand_tool[:, 3] + depth * gripper.T_hand_tool[:, 2])[..., None]
+    side = gripper.side_of(width)[:, None]
+    _, y, z, origin = gripper.T_hand_tool.T
+    return (origin + depth * z + side * y)[..., None]
 
 
 def _model(asset: ObjectAsset, contact: ContactConfig, robot: RobotDescription) -> mujoco.MjModel:

@@ -38,7 +38,7 @@ class Grip(NamedTuple):
 
 
 def rank_grasps(grasps: Grasps, T_world_object: np.ndarray, gripper: Gripper) -> Iterator[Grip]:
-    """Grasps, each also turned about its approach.
+    """Grasps, each also by half a turn about its approach where that makes no difference to the hand.
 
     Those that come from above and hold well are first.
     """
@@ -46,7 +46,7 @@ def rank_grasps(grasps: Grasps, T_world_object: np.ndarray, gripper: Gripper) ->
     held = matrix_of(grasps.held)
     worth, levers = _worth(grasps, T_world_object)
     for index in np.argsort(-worth, kind="stable"):
-        for turn in (np.eye(4), _FLIP):
+        for turn in (np.eye(4), _FLIP) if gripper.is_even else (np.eye(4),):
             width = float(grasps.width[index])
             lever = float(levers[index])
             opening = float(gripper.opening_of(width))

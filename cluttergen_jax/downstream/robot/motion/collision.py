@@ -262,6 +262,13 @@ class PlanningWorld:
         mujoco.mj_kinematics(self.model, self.data)
         wrist = self.data.body(int(self.model.body_parentid[self.arm.hand]))
         self._T_wrist_world = inverse(matrix_of(np.concatenate([wrist.xpos, wrist.xquat])))
+        hand = self.arm.hand
+        self._turned: np.ndarray | None = None
+        if self.model.body_jntnum[hand]:
+            # The arm's last joint may be the hand's own, and turns it besides.
+            fixed = np.concatenate([self.model.body_pos[hand], self.model.body_quat[hand]])
+            T_world_hand = matrix_of(np.concatenate([self.data.xpos[hand], self.data.xquat[hand]]))
+            self._turned = inverse(self._T_wrist_world @ T_world_hand) @ matrix_of(fixed)
         self.release(poses[target])
 
     def _kinds(self) -> np.ndarray:
@@ -309,7 +316,10 @@ class PlanningWorld:
         hand = self.arm.hand
         own = model.body_pos[hand].copy(), model.body_quat[hand].copy()
         T_world_hand = T_world_tool @ self._T_tool_hand
-        self._put(hand, pose_of(self._T_wrist_world @ T_world_hand))
+        T_wrist_hand = self._T_wrist_world @ T_world_hand
+        self._put(
+            hand, pose_of(T_wrist_hand if self._turned is None else T_wrist_hand @ self._turned)
+        )
         try:
             return self.is_free(self._home, opening, mode)
         finally:

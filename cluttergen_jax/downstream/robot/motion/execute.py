@@ -16,7 +16,7 @@ import numpy as np
 from cluttergen_jax.assets import VISUAL_GROUP, Box
 from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
 from cluttergen_jax.downstream.robot.gripper import gripper_of
-from cluttergen_jax.downstream.robot.model import Robot, with_robot
+from cluttergen_jax.downstream.robot.model import Robot, add_pedestals, base_pose, with_robot
 from cluttergen_jax.downstream.robot.motion.collision import Kind, add_stand, kinds_of
 from cluttergen_jax.downstream.robot.motion.plan import SHARE, time_path
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
@@ -93,6 +93,13 @@ class Trace:
     arm: Robot = field(init=False)
     spec: mujoco.MjSpec = field(init=False)
     data: mujoco.MjData = field(init=False)
+
+    def spec_on_pedestals(self) -> mujoco.MjSpec:
+        """What was simulated, on pillars below the arm and the stands, which would float beside the table."""
+        support = self.scene.support
+        spec = self.spec.copy()
+        add_pedestals(spec, base_pose(support, self.robot), self.stands)
+        return spec
 
 
 class Execution:

@@ -21,6 +21,8 @@ from cluttergen_jax.downstream.transforms import (
     matrix_of,
     pose_of,
     raise_by,
+    rigid,
+    turn_matrix,
 )
 
 # Metres that the hand comes straight to an object and leaves it, the first that is free; the latter of
@@ -49,6 +51,8 @@ _LEVEL = 0.05
 GENTLE_SHARE = 0.12
 """The same where it is not seen how what is held swings between the fingers."""
 _UP = np.array([0.0, 0.0, 1.0])
+_MOST_TURNED = np.radians(60)
+"""By which an arm of fewer than six joints turns a grasp about the line between the pads to reach it."""
 _ARMS = 3
 """Solutions of the inverse kinematics that are tried for a pose."""
 _HEIGHTS = np.arange(TOUCH, LIFT, TOUCH)
@@ -78,6 +82,8 @@ class Mover:
 
     Attributes:
       fitting: the number of the place that the last grasp of `find_pick` was found to fit; None if none was.
+      put: f64[4, 4], T_world_object where `place` was to put the object last: turned about the vertical where
+        an arm of fewer than six joints could not place it otherwise.
     """
 
     def __init__(
@@ -107,6 +113,7 @@ class Mover:
         self._T_tool_object = np.eye(4)
         self._grasped = np.eye(4)
         self.fitting: int | None = None
+        self.put = np.eye(4)
         self._joints: np.ndarray | None = None
 
     def plan_in(self, world: PlanningWorld) -> None:
@@ -128,11 +135,16 @@ class Mover:
         stood = self._survey()
         T_world_object = matrix_of(stood)
         furthest = 0
+        is_reached = False
         self.fitting = self._joints = None
-        for room, grip in product(
+        for room, ranked in product(
             self._rooms, rank_grasps(grasps, T_world_object, self.execution.gripper)
         ):
             self.world.room = room
+            grip = self._reached(ranked, T_world_object)
+            if grip is None:
+                continue
+            is_reached = True
             T_world_tool = T_world_object @ grip.T_object_tool
             opening = grip.opening
             if not self.world.is_hand_free(T_world_tool, opening, Mode.COME):
@@ -161,7 +173,42 @@ class Mover:
                 plan = self._pick_plan(joints, grip, stood, opening, places is not None)
                 if plan is not None:
                     return plan
-        raise Failed(_ENDS[furthest], "to pick it up")
+        is_far = len(grasps) > 0 and not is_reached
+        raise Failed(Outcome.NO_IK if is_far else _ENDS[furthest], "to pick it up")
+
+    def _reached(self, grip: Grip, T_world_object: np.ndarray) -> Grip | None:
+        """The grasp as the arm reaches it; None where one of fewer than six joints does not.
+
+        Such an arm may turn the hand about the line between the pads.
+        """
+        if not self.kinematics.is_short:
+            return grip
+        wanted = T_world_object @ grip.T_object_tool
+        poses = [self.kinematics.tool(q) for q in self.kinematics.solutions(wanted, _ARMS)]
+        reached = min(poses, key=lambda pose: float(angle_between(pose, wanted)), default=None)
+        if reached is None or angle_between(reached, wanted) > _MOST_TURNED:
+            return None
+        turned = inverse(wanted) @ reached
+        return grip._replace(
+            T_object_tool=grip.T_object_tool @ turned,
+            T_tool_object=inverse(turned) @ grip.T_tool_object,
+        )
+
+    def _reachable(self, place: np.ndarray, T_tool_object: np.ndarray) -> np.ndarray | None:
+        """A place f64[4, 4] as the arm reaches it with what it holds; None where it cannot.
+
+        One of fewer than six joints may turn the object about the vertical.
+        """
+        if not self.kinematics.is_short:
+            return place
+        target = _tool_at(place, T_tool_object)
+        pivot = _upright_at(place, T_tool_object)
+        joints = next(self.kinematics.solutions(target, _ARMS, pivot), None)
+        if joints is None:
+            return None
+        turned = self.kinematics.tool(joints) @ T_tool_object @ inverse(place)
+        yaw = float(np.arctan2(turned[1, 0], turned[0, 0]))
+        return rigid(turn_matrix(yaw)[:3, :3] @ place[:3, :3], place[:3, 3])
 
     def pick(self, plan: PickPlan) -> None:
         """Runs it: the object is lifted by `LIFT` afterwards.
@@ -191,7 +238,10 @@ class Mover:
         """The first few of the places where the hand alone could put the object down from above."""
         found: dict[int, np.ndarray] = {}
         self.world.hold(T_tool_object)
-        for number, place in enumerate(() if places is None else places):
+        for number, wanted in enumerate(() if places is None else places):
+            place = self._reachable(wanted, T_tool_object)
+            if place is None:
+                continue
             target = _tool_at(place, T_tool_object)
             top = raise_by(target, LIFT)
             if self._hand_leaves(target, opening) and self.world.is_hand_free(
@@ -261,9 +311,11 @@ class Mover:
           Failed: none is reached, an unplanned contact, or the object slipped.
         """
         rooms = [room for room in ROOMS if room <= self.world.room]
-        for room, (number, place) in product(rooms, enumerate(places)):
+        for room, (number, wanted) in product(rooms, enumerate(places)):
             self.world.room = room
-            if (found := self._place_plan(place)) is not None:
+            place = self._reachable(wanted, self._T_tool_object)
+            if place is not None and (found := self._place_plan(place)) is not None:
+                self.put = place
                 self._carry(found.path, self._T_tool_object)
                 lower = self._correct_lowering(found.lower, place)
                 # What hangs askew and cannot be levelled is lowered until it is felt to touch.
@@ -359,7 +411,9 @@ class Mover:
     def _correct_lowering(self, lower: np.ndarray, place: np.ndarray) -> np.ndarray | None:
         """The path down with the object as it really lies in the hand; None if the arm cannot go it."""
         start = self.kinematics.solve(
-            raise_by(_tool_at(place, self._T_tool_object), LIFT), lower[0]
+            raise_by(_tool_at(place, self._T_tool_object), LIFT),
+            lower[0],
+            _upright_at(place, self._T_tool_object),
         )
         path = None if start is None else self.kinematics.line(start, -LIFT * _UP)
         self.world.hold(self._T_tool_object)
@@ -459,3 +513,8 @@ class Mover:
 def _tool_at(place: np.ndarray, T_tool_object: np.ndarray) -> np.ndarray:
     """f64[4, 4]: T_world_tool that holds an object just above a place."""
     return raise_by(place, RELEASE) @ inverse(T_tool_object)
+
+
+def _upright_at(place: np.ndarray, T_tool_object: np.ndarray) -> np.ndarray:
+    """f64[4, 4]: T_tool_pivot of a frame in the middle of what is held, its z up where the place is."""
+    return T_tool_object @ rigid(place[:3, :3].T, np.zeros(3))
