@@ -6,7 +6,7 @@ import operator
 import re
 from collections.abc import Callable, Iterable, Sequence
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 from weakref import WeakKeyDictionary
 
 import msgspec
@@ -114,9 +114,50 @@ _SIGNS: dict[str, Callable[[float, float], bool]] = {
     ">": operator.gt,
     "=": operator.eq,
 }
+GRASPABLE = "graspable"
+"""The field of a term that only whoever knows grasps can answer (`graspable_with`)."""
 _TERM = re.compile(r"\s*([a-z]+)\s*(<=|>=|<|>|=)\s*(.+?)\s*")
 _HINT = "'mug* and volume<0.001', or 'label=*book* and height>=0.1'"
 Test = Callable[[ObjectFacts], bool]
+
+
+class Graspable(Protocol):
+    """Says which of a pool's objects the hand of a robot can hold."""
+
+    def __call__(self, pool: str, names: Sequence[str], robot: str) -> tuple[str, ...]:
+        """Of names of a pool's objects those that it holds, in their order; a ConfigError if none."""
+        ...
+
+
+_graspable_by: Callable[[], Graspable] | None = None
+
+
+def graspable_with(find: Callable[[], Graspable]) -> None:
+    """Says who knows what hands can hold: that lies above; `find` returns it when it is asked for."""
+    global _graspable_by
+    _graspable_by = find
+
+
+def graspable_names(pool: str, names: Sequence[str], robot: str) -> tuple[str, ...]:
+    """Of names of a pool's objects those that the hand of a robot can hold; see `Graspable`."""
+    if _graspable_by is None:
+        raise RuntimeError("nobody was named who knows what hands can hold (`graspable_with`)")
+    return _graspable_by()(pool, names, robot)
+
+
+def _split_graspable(text: str) -> tuple[list[str], str]:
+    """The robots of its terms "graspable=ROBOT", and the text without these terms."""
+    robots = []
+    others = []
+    for term in re.split(r"\s+and\s+", text.strip()):
+        match = _TERM.fullmatch(term)
+        if match is None or match.group(1) != GRASPABLE:
+            others.append(term)
+        elif match.group(2) != "=":
+            raise ConfigError(f"{term!r}", f"{GRASPABLE}=ROBOT", f"{GRASPABLE}=panda")
+        else:
+            robots.append(match.group(3))
+    return robots, " and ".join(others)
 
 
 def parse_condition(text: str) -> Test:
@@ -142,13 +183,17 @@ def _parse_term(term: str) -> Test:
             return lambda each: is_below(each.synset, each.label or each.name, term)
         return lambda each: fnmatchcase(each.name, term)
     field, sign, value = match.groups()
+    if field == GRASPABLE:
+        raise ConfigError(
+            f"{term!r} here", "in a choice of a pool's objects alone", f"objects=({term!r},)"
+        )
     if field in _TEXTS:
         if sign != "=":
             raise ConfigError(f"{term!r}", f"{field}=PATTERN", _HINT)
         pattern = value.lower()
         return lambda each: fnmatchcase(_TEXTS[field](each).lower(), pattern)
     if field not in _NUMBERS:
-        raise _no_term(term, field, closest(field, [*_TEXTS, *_NUMBERS]))
+        raise _no_term(term, field, closest(field, [*_TEXTS, *_NUMBERS, GRASPABLE]))
     try:
         number = float(value)
     except ValueError:
@@ -157,9 +202,7 @@ def _parse_term(term: str) -> Test:
 
 
 def _no_term(term: str, field: str = "", meant: str = "") -> ConfigError:
-    allowed = (
-        f"a name, a pattern such as mug*, or a comparison of {', '.join([*_TEXTS, *_NUMBERS])}"
-    )
+    allowed = f"a name, a pattern such as mug*, or a comparison of {', '.join([*_TEXTS, *_NUMBERS, GRASPABLE])}"
     given = f"{term!r} in a choice of objects"
     given = f"{field!r} of {given}" if field else given
     return ConfigError(given, allowed, _HINT, meant)
@@ -175,6 +218,8 @@ def chosen_names(facts: Sequence[ObjectFacts], chosen: Iterable[str], pool: str)
 
     Args:
       chosen: names, patterns and conditions (`parse_condition`); an object is meant if one of them means it.
+        Here a term may also be graspable=ROBOT, what a hand can hold; it is asked last.
+      pool: by which `graspable_names` finds it.
 
     Raises:
       ConfigError: a text chooses nothing, or is not understood.
@@ -184,8 +229,11 @@ def chosen_names(facts: Sequence[ObjectFacts], chosen: Iterable[str], pool: str)
         if is_plain_name(text):
             names[text] = None
             continue
-        test = parse_condition(text)
+        robots, rest = _split_graspable(text)
+        test = parse_condition(rest if rest or not robots else "*")
         found = [each.name for each in facts if test(each)]
+        for robot in robots if found else ():
+            found = list(graspable_names(pool, found, robot))
         if not found:
             raise _no_choice(f"{text!r} chooses no object of pool {pool!r}", text, facts)
         names |= dict.fromkeys(found)

@@ -118,7 +118,17 @@ _SLACK = 1e-6
 """Radians that limits may exceed those of the model."""
 _OF_JOINTS = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
 _OPTIONAL = ("gain", "damping", "torque", "inertia", "limits")
-_POSITIVE = ("distance", "speed", "acceleration", "gain", "torque", "inertia", "pad", "force")
+_POSITIVE = (
+    "distance",
+    "speed",
+    "acceleration",
+    "gain",
+    "torque",
+    "inertia",
+    "pad",
+    "force",
+    "friction",
+)
 
 
 @dataclass(frozen=True)
@@ -192,6 +202,8 @@ class GripperDescription:
       pad: metres, half of a pad's length along the approach.
       gain, damping, force: of the actuator, in place of what the model says; force: at most, either way.
       inertia: of the joints' drives (`armature`), in place of what the model says.
+      friction: sliding coefficient of the pads (`grasping.pads`); if not given, that of the scene's contacts,
+        or of the object that is held.
     """
 
     file: str
@@ -211,6 +223,7 @@ class GripperDescription:
     damping: float | None = None
     force: float | None = None
     inertia: float | None = None
+    friction: float | None = None
 
     @property
     def path(self) -> Path:
@@ -221,6 +234,9 @@ class GripperDescription:
     def hash(self) -> str:
         """Hex digest of what it is, wherever its files lie and whatever it is attached to."""
         fields = _fields(self, "file", "package", "attach", "pose")
+        if self.friction is None:
+            # Digests are those of before there was one.
+            del fields["friction"]
         return model_digest(fields, self.path)
 
 
