@@ -202,7 +202,8 @@ def _parse_term(term: str) -> Test:
 
 
 def _no_term(term: str, field: str = "", meant: str = "") -> ConfigError:
-    allowed = f"a name, a pattern such as mug*, or a comparison of {', '.join([*_TEXTS, *_NUMBERS, GRASPABLE])}"
+    fields = ", ".join([*_TEXTS, *_NUMBERS, GRASPABLE])
+    allowed = f"a name, a pattern such as mug*, or a comparison of {fields}"
     given = f"{term!r} in a choice of objects"
     given = f"{field!r} of {given}" if field else given
     return ConfigError(given, allowed, _HINT, meant)

@@ -41,7 +41,7 @@ from cluttergen_jax.sensing import Camera, Grid, level_camera
 _FARTHEST = 20.0
 """Metres: images of which half shows more are not in metres."""
 _WIDTH = 160
-"""Pixels across of the images that placers learn from; of larger ones every second, third ... pixel is used."""
+"""Pixels across of the images that placers learn from; of larger ones every second, third ... counts."""
 _SLAB = 0.02
 _BELOW = 0.03
 """Metres below the level at which a cell has nothing to stand on."""
@@ -249,10 +249,8 @@ def _maker_of(
     carrier: SupportAsset | float, asset: ObjectAsset, region: Rectangle, beyond: float | None
 ) -> QueryMaker:
     """Of queries for an object on a support, or on a level that goes on beyond the region."""
-    if isinstance(carrier, SupportAsset):
-        support = carrier
-    else:
-        support = _slab(region, carrier, beyond or 0.0)
+    is_support = isinstance(carrier, SupportAsset)
+    support = carrier if is_support else _slab(region, carrier, beyond or 0.0)
     config = ProblemConfig(
         objects=(asset.name,),
         region=region,

@@ -397,7 +397,7 @@ def clear_clutter(
     seed: int = 0,
     num_threads: int = 0,
 ) -> ClutterRounds:
-    """Clears the piles of a bank grasp by grasp, in rounds as VGN's authors have them (`cluttergen robot clear`).
+    """Clears the piles of a bank grasp by grasp, in rounds as in VGN's paper (`cluttergen robot clear`).
 
     Before each attempt the hand's cameras look anew, a proposer chooses one grasp, and MuJoCo executes it
     with everything awake; what is lifted is taken away, and the rest settles. A round ends when no object is

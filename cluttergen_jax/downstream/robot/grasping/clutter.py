@@ -449,7 +449,7 @@ class ApproachScene(LiftScene):
         return np.array([self._model.joint(name).qposadr[0] for name in _slide_names(self._ways)])
 
     def _move_to(self, place: np.ndarray, stops: bool = False) -> bool:
-        """Moves the hand straight to f64[3] from where it started; True if it touched something and stopped."""
+        """Moves the hand straight to f64[3] from where it started; True if it touched something."""
         data = self._data
         begin = data.ctrl[: self._grip].copy()
         number = max(1, int(np.linalg.norm(place - begin) / _STEP_LENGTH))

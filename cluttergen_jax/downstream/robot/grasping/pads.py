@@ -12,8 +12,8 @@ from cluttergen_jax.downstream.words import PadSource
 from cluttergen_jax.errors import ConfigError
 
 PAD_FRICTION: dict[str, float] = {"robosuite": 1.0, "maniskill": 2.0}
-"""Sliding coefficients of the Panda's fingers: robosuite's `panda_gripper.xml` (its tips have 2.0), ManiSkill's
-`panda.py`."""
+"""Sliding coefficients of the Panda's fingers: robosuite's `panda_gripper.xml` (its tips have 2.0), and
+ManiSkill's `panda.py`."""
 _MOST = 5.0
 
 
@@ -28,8 +28,8 @@ def set_pads(
     Args:
       robot: a name of `cluttergen list`, the YAML file of one of your own, or a description.
       pads: a sliding coefficient above 0, up to 5; "robosuite", 1.0; "maniskill", 2.0; "model", what the
-        gripper's own model says (Menagerie's: 1.0 of Franka's hand, 0.6 of a 2F-85's tips); or "scene", none of
-        their own: that of the scene's contacts (0.5), or of the object that is held.
+        gripper's own model says (Menagerie's: 1.0 of Franka's hand, 0.6 of a 2F-85's tips); or "scene", none
+        of their own: that of the scene's contacts (0.5), or of the object that is held.
 
     Raises:
       ConfigError: it is none of these, or the robot is none.

@@ -80,7 +80,7 @@ class ClutterView:
     """What a proposer is given: V depth images of a scene, with noise, and what was made of them.
 
     Attributes:
-      depth: f32[V, H, W], metres along the optical axis; nan where nothing was measured, inf where nothing is.
+      depth: f32[V, H, W], metres along the optical axis; nan: nothing was measured, inf: nothing is there.
       K: f64[3, 3], pixels. T_world_camera: f64[V, 4, 4], OpenCV's axes, as they are believed to be.
       grid: f32[1, N, N, N], truncated signed distances as VGN's networks read them
         (`grasp_dataset.tsdf_grid`).
