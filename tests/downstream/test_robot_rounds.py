@@ -209,12 +209,13 @@ def volume(middle=MIDDLE, half=HALF, turn=None):
 
 def test_a_volume_gives_back_the_distances_and_the_room_that_it_was_made_of():
     field = distance_field(volume())
-    probe = MIDDLE + np.array([HALF[0] + 0.01, 0, 0.0])
-    assert sample_field(field, probe) == pytest.approx(0.01, abs=0.001)
-    assert sample_field(field, MIDDLE) < 0
-    room = free_room(volume())
-    assert sample_field(room, probe) == pytest.approx(0.01, abs=0.004)
-    assert sample_field(room, MIDDLE) == 0
+    probes = np.stack([MIDDLE + np.array([HALF[0] + 0.01, 0, 0]), MIDDLE])
+    beside, inside = sample_field(field, probes)
+    assert beside == pytest.approx(0.01, abs=0.001)
+    assert inside < 0
+    beside, inside = sample_field(free_room(volume()), probes)
+    assert beside == pytest.approx(0.01, abs=0.004)
+    assert inside == 0
     assert CUBE / RESOLUTION == VOXEL
 
 

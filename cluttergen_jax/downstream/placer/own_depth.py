@@ -101,7 +101,8 @@ def propose_places(
     Args:
       depth: f[H, W], metres along the optical axis; nan or 0 where nothing was measured, inf where nothing is
         (over the region that counts as not measured). Or several images, with K and T_world_camera of each.
-      K: f[3, 3], pixels; one for all images will do.
+      K: f[3, 3], pixels from the picture's corner, so that the first one's middle is at (0.5, 0.5); one for
+        all images will do.
       T_world_camera: f[4, 4], metres, in OpenCV's axes: x right, y down, z forward; z of the world is up.
         From OpenGL's axes: `T @ np.diag([1, -1, -1, 1])`.
       region: where the object's middle may be, on a flat surface: a `Rectangle`, or 'X,Y,W,D[,YAW]' in world
@@ -152,9 +153,8 @@ def _as_lists(depth: Any, K: Any, T: Any) -> tuple[list[Any], list[Any], list[An
     if isinstance(depth, Sequence) and not len(depth):
         raise ConfigError("no depth image", "one or more, f[H, W]")
     is_many = isinstance(depth, list | tuple) and np.ndim(depth[0]) == 2
-    if not is_many and np.ndim(depth) != 3:
-        return [depth], [K], [T]
-    number = len(depth)
+    depths = list(depth) if is_many or np.ndim(depth) == 3 else [depth]
+    number = len(depths)
     Ks = [K] * number if np.ndim(K) == 2 else list(K)
     Ts = list(T) if np.ndim(T) == 3 else [T]
     if len(Ks) != number or len(Ts) != number:
@@ -162,7 +162,7 @@ def _as_lists(depth: Any, K: Any, T: Any) -> tuple[list[Any], list[Any], list[An
             f"{number} depth images, {len(Ks)} K and {len(Ts)} T_world_camera",
             "one T_world_camera for each image, and one K for each or for all",
         )
-    return list(depth), Ks, Ts
+    return depths, Ks, Ts
 
 
 def _view(depth: Any, K: Any, T: Any, number: int) -> DepthView:

@@ -17,8 +17,8 @@ _LEVER = 10.0
 FIRM = 0.04
 """Metres of it up to which an object hardly swings in the hand."""
 _SWING = 6.0
-"""What a radian takes from it by which the object turned in the hand: as that closed and lifted it, and in the
-test. Over five seconds of holding it turns mostly as far as until it was lifted (reports/measured.md)."""
+"""What a radian takes from it by which the object turned in the hand: as that closed and lifted it, and in
+the test. Over five seconds of holding it mostly turns as far as until it was lifted (reports/measured.md)."""
 _FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
