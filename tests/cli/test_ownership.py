@@ -80,6 +80,7 @@ WRITERS = {
         "robot place --pool {trio} --num-objects 2 --out {out}", "{out}/bank"
     ),
     "robot dataset": Writing("robot dataset {bank} --out {out}"),
+    "robot clear": Writing("robot clear {bank} --out {out}.json", "{out}.json", is_beside=True),
     "rearrange": Writing("rearrange --pool dining --out {out}", "{out}/paper"),
     "import": Writing("import {file} --pool new --time-limit 60", "{pools}/new", is_beside=True),
     "import add": Writing("import {file} --pool mine --add", "{pools}/mine", is_beside=True),
