@@ -131,8 +131,8 @@ def propose_places(
     support, is_known = _support_of(region, height)
     asset, T_object_mesh = body_of(mesh)
     radius = float(np.linalg.norm(asset.half_extents[:2]))
-    beyond = None if is_known else 2 * radius
-    maker = copy(_maker_of(support if is_known else support.top, asset, support.region, beyond))
+    known = support if is_known else None
+    maker = copy(_maker_of(known, support.top, asset, support.region, 2 * radius))
     views = [_over_region(view, maker) for view in views]
     _check_sight(views, maker)
     seen = [DepthView(each.depth, level_camera(*each, maker.grid)) for each in views]
@@ -273,11 +273,10 @@ def _slab(region: Rectangle, level: float, beyond: float = 0.0) -> SupportAsset:
 
 @lru_cache(maxsize=16)
 def _maker_of(
-    carrier: SupportAsset | float, asset: ObjectAsset, region: Rectangle, beyond: float | None
+    known: SupportAsset | None, level: float, asset: ObjectAsset, region: Rectangle, beyond: float
 ) -> QueryMaker:
-    """Of queries for an object on a support, or on a level that goes on beyond the region."""
-    is_support = isinstance(carrier, SupportAsset)
-    support = carrier if is_support else _slab(region, carrier, beyond or 0.0)
+    """Of queries for an object on a support, or on a level that goes on so far beyond the region."""
+    support = known or _slab(region, level, beyond)
     config = ProblemConfig(
         objects=(asset.name,),
         region=region,

@@ -403,7 +403,7 @@ class ApproachScene(LiftScene):
     goes back by 10 cm, upwards where the approach is more than 60 degrees from straight down.
     """
 
-    _ways = tuple(tuple(each) for each in np.eye(3).tolist())
+    _ways = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
     def approach(self, pose: np.ndarray) -> Lift:
         """Comes to T_world_tool f64[4, 4], closes, and goes back.

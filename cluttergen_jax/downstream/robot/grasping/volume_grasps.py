@@ -213,7 +213,7 @@ def draw_hands(pairs: SurfacePairs, gripper: Gripper) -> VolumeGrasps:
             aligned = (pairs.alignment[rows] - np.cos(CONE)) / (1 - np.cos(CONE))
             score = aligned + (pairs.middle[rows, 2] - FINGER) / _HEIGHT - _LEVEL * approach[:, 2]
             keep = -approach[:, 2] >= _FLATTEST
-            parts.append((pose[keep], width[keep], score[keep]))
+            parts.append(VolumeGrasps(pose[keep], width[keep], score[keep]))
     whole = join_grasps(parts)
     return whole.take(np.argsort(-whole.score, kind="stable"))
 
