@@ -51,8 +51,8 @@ from cluttergen_jax.api.generate import generate, place_by_hand, repair
 from cluttergen_jax.api.import_ import import_pool, import_support
 from cluttergen_jax.api.render import make_dataset, render, view
 from cluttergen_jax.api.train import train
-from cluttergen_jax.assets.facts import graspable_with
 from cluttergen_jax.display import draw_with
+from cluttergen_jax.graspable import answer_with
 from cluttergen_jax.judging.api import certify, judge, verify
 from cluttergen_jax.lazy import name_space
 from cluttergen_jax.spec import SceneSpec
@@ -131,7 +131,7 @@ __all__ = [
 
 # Scenes, banks and pools lie below what draws them, and below what knows hands.
 draw_with(lambda: _drawing)
-graspable_with(
+answer_with(
     lambda: import_module("cluttergen_jax.downstream.robot.grasping.holdable").graspable_names
 )
 

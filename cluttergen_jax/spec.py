@@ -661,7 +661,7 @@ class SceneSpec(PlacementRequest):
             kept = [each for each in facts if not chosen or each.name in chosen]
             chosen = read_sense(str(self.sense)).in_theme(self.theme, kept, pool)
         if self.graspable:
-            from cluttergen_jax.assets.facts import graspable_names
+            from cluttergen_jax.graspable import graspable_names
 
             names = chosen or (found or find_pool(pool)).names
             chosen = graspable_names(pool, names, str(self.graspable))

@@ -6,7 +6,7 @@ import operator
 import re
 from collections.abc import Callable, Iterable, Sequence
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import msgspec
@@ -14,6 +14,7 @@ import numpy as np
 
 from cluttergen_jax.assets.nouns import SYNSET, is_below
 from cluttergen_jax.errors import ConfigError, closest, first_names
+from cluttergen_jax.graspable import graspable_names
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets.object import ObjectAsset
@@ -115,34 +116,10 @@ _SIGNS: dict[str, Callable[[float, float], bool]] = {
     "=": operator.eq,
 }
 GRASPABLE = "graspable"
-"""The field of a term that only whoever knows grasps can answer (`graspable_with`)."""
+"""The field of a term that `graspable_names` answers."""
 _TERM = re.compile(r"\s*([a-z]+)\s*(<=|>=|<|>|=)\s*(.+?)\s*")
 _HINT = "'mug* and volume<0.001', or 'label=*book* and height>=0.1'"
 Test = Callable[[ObjectFacts], bool]
-
-
-class Graspable(Protocol):
-    """Says which of a pool's objects the hand of a robot can hold."""
-
-    def __call__(self, pool: str, names: Sequence[str], robot: str) -> tuple[str, ...]:
-        """Of names of a pool's objects those that it holds, in their order; a ConfigError if none."""
-        ...
-
-
-_graspable_by: Callable[[], Graspable] | None = None
-
-
-def graspable_with(find: Callable[[], Graspable]) -> None:
-    """Says who knows what hands can hold: that lies above; `find` returns it when it is asked for."""
-    global _graspable_by
-    _graspable_by = find
-
-
-def graspable_names(pool: str, names: Sequence[str], robot: str) -> tuple[str, ...]:
-    """Of names of a pool's objects those that the hand of a robot can hold; see `Graspable`."""
-    if _graspable_by is None:
-        raise RuntimeError("nobody was named who knows what hands can hold (`graspable_with`)")
-    return _graspable_by()(pool, names, robot)
 
 
 def _split_graspable(text: str) -> tuple[list[str], str]:

@@ -60,8 +60,9 @@ def run_pool(
       graspable: to show: only what the hand of a robot can hold, by its name or file (extra `robot`).
       page: to show: which hundred objects of each.
     """
-    from cluttergen_jax.assets.facts import chosen_names, graspable_names
+    from cluttergen_jax.assets.facts import chosen_names
     from cluttergen_jax.assets.pool import find_pool
+    from cluttergen_jax.graspable import graspable_names
 
     if bool(names) == (action == "list"):
         raise ConfigError(
