@@ -16,6 +16,7 @@ Every command has a function with the same defaults and the same names of option
     train, evaluate                a pool -> a policy; methods side by side
     place_by_hand                  a person's scenes -> a bank
     rearrange                      objects brought into new layouts by a robot arm
+    propose_places                 depth images of your own -> where an object will stand
 
 More is in modules, which are loaded when they are first used:
 
@@ -41,6 +42,7 @@ Five ways to read a bank:
 `sample(key, region=..., keep_out=...)`, which may be traced. CONTRIBUTING.md says what the packages are.
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 from cluttergen_jax.api import display as _drawing
@@ -50,6 +52,7 @@ from cluttergen_jax.api.import_ import import_pool, import_support
 from cluttergen_jax.api.render import make_dataset, render, view
 from cluttergen_jax.api.train import train
 from cluttergen_jax.display import draw_with
+from cluttergen_jax.graspable import answer_with
 from cluttergen_jax.judging.api import certify, judge, verify
 from cluttergen_jax.lazy import name_space
 from cluttergen_jax.spec import SceneSpec
@@ -69,6 +72,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets.pool import find_pool as load_pool
     from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.assets.support_file import find_support as load_support
+    from cluttergen_jax.downstream.placer.own_depth import propose_places
     from cluttergen_jax.downstream.rearrange.api import rearrange
     from cluttergen_jax.evaluation.api import evaluate
     from cluttergen_jax.generation import load_bank, make_sampler, stream_bank
@@ -108,6 +112,7 @@ __all__ = [
     "place_by_hand",
     "placer",
     "pools",
+    "propose_places",
     "read_bank",
     "read_scenes",
     "rearrange",
@@ -124,8 +129,11 @@ __all__ = [
     "view",
 ]
 
-# Scenes, banks and pools lie below what draws them.
+# Scenes, banks and pools lie below what draws them, and below what knows hands.
 draw_with(lambda: _drawing)
+answer_with(
+    lambda: import_module("cluttergen_jax.downstream.robot.grasping.holdable").graspable_names
+)
 
 _FORMER = {
     "BankArrays": "generation.bank:BankArrays",
@@ -201,6 +209,7 @@ __getattr__, __dir__ = name_space(
         "place_by_hand": "api.generate:place_by_hand",
         "placer": "placer",
         "pools": "pools",
+        "propose_places": "downstream.placer.own_depth:propose_places",
         "read_bank": "scene.bank:read_bank",
         "read_scenes": "scene.bank.scene:read_scenes",
         "rearrange": "downstream.rearrange.api:rearrange",

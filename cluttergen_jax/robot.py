@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.environments.api import scripted_actions
     from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
     from cluttergen_jax.downstream.environments.world import RobotWorld, with_robot
+    from cluttergen_jax.downstream.robot.api import clear_clutter
     from cluttergen_jax.downstream.robot.api import grasp_dataset as dataset
     from cluttergen_jax.downstream.robot.api import robot_check as check
     from cluttergen_jax.downstream.robot.api import robot_grasps as grasps
@@ -18,12 +19,14 @@ if TYPE_CHECKING:
         list_robots,
         read_robot,
     )
+    from cluttergen_jax.downstream.robot.grasping.pads import set_pads
 
 __all__ = [
     "RandomizationConfig",
     "RobotDescription",
     "RobotWorld",
     "check",
+    "clear_clutter",
     "dataset",
     "grasps",
     "list_robots",
@@ -31,6 +34,7 @@ __all__ = [
     "place",
     "read_robot",
     "scripted_actions",
+    "set_pads",
     "with_robot",
 ]
 
@@ -41,6 +45,7 @@ __getattr__, __dir__ = name_space(
         "RobotDescription": "downstream.robot.description:RobotDescription",
         "RobotWorld": "downstream.environments.world:RobotWorld",
         "check": "downstream.robot.api:robot_check",
+        "clear_clutter": "downstream.robot.api:clear_clutter",
         "dataset": "downstream.robot.api:grasp_dataset",
         "grasps": "downstream.robot.api:robot_grasps",
         "list_robots": "downstream.robot.description:list_robots",
@@ -48,6 +53,7 @@ __getattr__, __dir__ = name_space(
         "place": "downstream.robot.api:robot_place",
         "read_robot": "downstream.robot.description:read_robot",
         "scripted_actions": "downstream.environments.api:scripted_actions",
+        "set_pads": "downstream.robot.grasping.pads:set_pads",
         "with_robot": "downstream.environments.world:with_robot",
     },
 )

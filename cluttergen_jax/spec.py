@@ -100,6 +100,7 @@ class ObjectOptions(TypedDict, total=False):
     shelf: int | None
     weights: str | Mapping[str, float]
     theme: str
+    graspable: str | Path
     balance: Balance
 
 
@@ -231,6 +232,9 @@ class SceneSpec(PlacementRequest):
         whose keys may be labels.
       theme: only objects of an occasion, by the same table as `natural`: "breakfast", "dinner", "desk",
         "cooking", "tools", "bathroom" or "play".
+      graspable: only objects that the hand of a robot can hold, by its name or file: it lifts them where they
+        stand alone (extra `robot`; tested once for each object, some seconds, and kept). "graspable=panda" in
+        `objects` is the same for one condition.
       balance: "objects", each is as likely to be on a shelf; or "label", "synset", "licence" or "source": of
         each of their values a shelf has as many, while there are some.
       support: a support's name or folder; "table-0.40x0.50" is a cuboid of that size, "bin-0.50x0.30x0.20" a
@@ -328,6 +332,7 @@ class SceneSpec(PlacementRequest):
     shelf: int | None = None
     weights: str | Mapping[str, float] = ""
     theme: str = ""
+    graspable: str | Path = ""
     balance: Balance = "objects"
     support: str | Path = "table"
     surface: str = ""
@@ -396,7 +401,7 @@ class SceneSpec(PlacementRequest):
         # Equal requests are equal, and can be hashed, whatever kind of sequence or path was given.
         for name in ("objects", "exclude", "keep_out", "relations", "arrangements"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
-        for name in ("pool", "support", "sense"):
+        for name in ("pool", "support", "sense", "graspable"):
             object.__setattr__(self, name, str(getattr(self, name)))
         if self.clutter is not None:
             object.__setattr__(self, "clutter", Clutter.of(self.clutter))
@@ -426,7 +431,7 @@ class SceneSpec(PlacementRequest):
         asked |= {name: recipe[name] for name in _LATER if name in recipe}
         asked |= {"relations_prefer": not rules.get("relations")}
         unused = [] if rules.get("natural") else ["seat"]
-        # A theme is recorded as the objects that it chose.
+        # A theme is recorded as the objects that it chose, and so is what a hand can hold.
         unused += [] if rules.get("natural") or rules.get("poses") == "usual" else ["sense"]
         asked |= {name: rules[name] for name in RULES if name in rules and name not in unused}
         stability = recipe["stability"]
@@ -607,7 +612,11 @@ class SceneSpec(PlacementRequest):
         from cluttergen_jax.assets.facts import is_plain_name
         from cluttergen_jax.assets.pool import find_pool
 
-        if self.objects and all(map(is_plain_name, self.objects)) and not self.theme:
+        if (
+            self.objects
+            and all(map(is_plain_name, self.objects))
+            and not (self.theme or self.graspable)
+        ):
             return None
         return find_pool(self.pool_text)
 
@@ -651,6 +660,11 @@ class SceneSpec(PlacementRequest):
             facts = (found or find_pool(pool)).facts
             kept = [each for each in facts if not chosen or each.name in chosen]
             chosen = read_sense(str(self.sense)).in_theme(self.theme, kept, pool)
+        if self.graspable:
+            from cluttergen_jax.graspable import graspable_names
+
+            names = chosen or (found or find_pool(pool)).names
+            chosen = graspable_names(pool, names, str(self.graspable))
         available = len(chosen) or len(found or find_pool(pool))
         weights = self._weights()
         is_drawn = (

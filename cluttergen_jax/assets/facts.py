@@ -14,6 +14,7 @@ import numpy as np
 
 from cluttergen_jax.assets.nouns import SYNSET, is_below
 from cluttergen_jax.errors import ConfigError, closest, first_names
+from cluttergen_jax.graspable import graspable_names
 
 if TYPE_CHECKING:
     from cluttergen_jax.assets.object import ObjectAsset
@@ -114,9 +115,26 @@ _SIGNS: dict[str, Callable[[float, float], bool]] = {
     ">": operator.gt,
     "=": operator.eq,
 }
+GRASPABLE = "graspable"
+"""The field of a term that `graspable_names` answers."""
 _TERM = re.compile(r"\s*([a-z]+)\s*(<=|>=|<|>|=)\s*(.+?)\s*")
 _HINT = "'mug* and volume<0.001', or 'label=*book* and height>=0.1'"
 Test = Callable[[ObjectFacts], bool]
+
+
+def _split_graspable(text: str) -> tuple[list[str], str]:
+    """The robots of its terms "graspable=ROBOT", and the text without these terms."""
+    robots = []
+    others = []
+    for term in re.split(r"\s+and\s+", text.strip()):
+        match = _TERM.fullmatch(term)
+        if match is None or match.group(1) != GRASPABLE:
+            others.append(term)
+        elif match.group(2) != "=":
+            raise ConfigError(f"{term!r}", f"{GRASPABLE}=ROBOT", f"{GRASPABLE}=panda")
+        else:
+            robots.append(match.group(3))
+    return robots, " and ".join(others)
 
 
 def parse_condition(text: str) -> Test:
@@ -142,13 +160,17 @@ def _parse_term(term: str) -> Test:
             return lambda each: is_below(each.synset, each.label or each.name, term)
         return lambda each: fnmatchcase(each.name, term)
     field, sign, value = match.groups()
+    if field == GRASPABLE:
+        raise ConfigError(
+            f"{term!r} here", "in a choice of a pool's objects alone", f"objects=({term!r},)"
+        )
     if field in _TEXTS:
         if sign != "=":
             raise ConfigError(f"{term!r}", f"{field}=PATTERN", _HINT)
         pattern = value.lower()
         return lambda each: fnmatchcase(_TEXTS[field](each).lower(), pattern)
     if field not in _NUMBERS:
-        raise _no_term(term, field, closest(field, [*_TEXTS, *_NUMBERS]))
+        raise _no_term(term, field, closest(field, [*_TEXTS, *_NUMBERS, GRASPABLE]))
     try:
         number = float(value)
     except ValueError:
@@ -157,9 +179,8 @@ def _parse_term(term: str) -> Test:
 
 
 def _no_term(term: str, field: str = "", meant: str = "") -> ConfigError:
-    allowed = (
-        f"a name, a pattern such as mug*, or a comparison of {', '.join([*_TEXTS, *_NUMBERS])}"
-    )
+    fields = ", ".join([*_TEXTS, *_NUMBERS, GRASPABLE])
+    allowed = f"a name, a pattern such as mug*, or a comparison of {fields}"
     given = f"{term!r} in a choice of objects"
     given = f"{field!r} of {given}" if field else given
     return ConfigError(given, allowed, _HINT, meant)
@@ -175,6 +196,8 @@ def chosen_names(facts: Sequence[ObjectFacts], chosen: Iterable[str], pool: str)
 
     Args:
       chosen: names, patterns and conditions (`parse_condition`); an object is meant if one of them means it.
+        Here a term may also be graspable=ROBOT, what a hand can hold; it is asked last.
+      pool: by which `graspable_names` finds it.
 
     Raises:
       ConfigError: a text chooses nothing, or is not understood.
@@ -184,8 +207,11 @@ def chosen_names(facts: Sequence[ObjectFacts], chosen: Iterable[str], pool: str)
         if is_plain_name(text):
             names[text] = None
             continue
-        test = parse_condition(text)
+        robots, rest = _split_graspable(text)
+        test = parse_condition(rest if rest or not robots else "*")
         found = [each.name for each in facts if test(each)]
+        for robot in robots if found else ():
+            found = list(graspable_names(pool, found, robot))
         if not found:
             raise _no_choice(f"{text!r} chooses no object of pool {pool!r}", text, facts)
         names |= dict.fromkeys(found)

@@ -10,12 +10,13 @@ from cluttergen_jax.cli.options import Group, Options, command
 from cluttergen_jax.downstream.placer.api import placer_data, placer_eval, placer_train
 from cluttergen_jax.downstream.rearrange.api import rearrange
 from cluttergen_jax.downstream.robot.api import (
+    clear_clutter,
     grasp_dataset,
     robot_check,
     robot_grasps,
     robot_place,
 )
-from cluttergen_jax.downstream.words import RobotObserver
+from cluttergen_jax.downstream.words import PadSource, RobotObserver
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.spec import in_groups
 
@@ -65,7 +66,7 @@ run_placer = Group(
 )
 
 
-@command(robot_grasps, pool=Positional[str], robot=str)
+@command(robot_grasps, pool=Positional[str], robot=str, pads=float | PadSource | None)
 def find_grasps(options: Options) -> None:
     """Find grasps of a pool's objects for the hand of a robot, each tested in MuJoCo (extra `robot`).
 
@@ -116,8 +117,23 @@ def try_robot(options: Options) -> int:
     return 0 if found.is_good else 1
 
 
+@command(
+    clear_clutter,
+    bank=Positional[str],
+    robot=str,
+    proposer=str,
+    pads=float | PadSource | None,
+)
+def clear_piles(options: Options) -> None:
+    """Clear the piles of a bank grasp by grasp, in rounds by VGN's rule or a stricter one (extra `robot`).
+
+    Example: `cluttergen robot clear piles --rule vgn --num-rounds 40`
+    """
+    print(options.call(clear_clutter))
+
+
 run_robot = Group(
-    """A robot arm in simulation: `robot grasps`, `robot place`, `robot dataset` and `robot check`.
+    """A robot arm in simulation: grasps, episodes, data of grasps, rounds in clutter; a try of its description.
 
     Example: `cluttergen robot grasps household`
     """,
@@ -125,6 +141,7 @@ run_robot = Group(
         "grasps": find_grasps,
         "place": move_objects,
         "dataset": make_grasp_dataset,
+        "clear": clear_piles,
         "check": try_robot,
     },
 )

@@ -44,6 +44,7 @@ def run_pool(
     names: Positional[tuple[str, ...]] = (),
     *,
     objects: tuple[str, ...] = (),
+    graspable: str = "",
     page: int = 1,
 ) -> None:
     """List pools, show what one holds, remove your own, or change an object's pose: cluttergen pool list.
@@ -56,10 +57,12 @@ def run_pool(
       names: of the pools. To show: names or folders, a+b for a union, a~mug for all but mug. For poses: the
         pool, the object, and the number of a pose to take.
       objects: to show: only these, by names, patterns and conditions: "mug*", "label=*book* and mass<0.5".
+      graspable: to show: only what the hand of a robot can hold, by its name or file (extra `robot`).
       page: to show: which hundred objects of each.
     """
     from cluttergen_jax.assets.facts import chosen_names
     from cluttergen_jax.assets.pool import find_pool
+    from cluttergen_jax.graspable import graspable_names
 
     if bool(names) == (action == "list"):
         raise ConfigError(
@@ -77,6 +80,7 @@ def run_pool(
         for name in names:
             pool = find_pool(name)
             chosen = chosen_names(pool.facts, objects, name) if objects else pool.names
+            chosen = graspable_names(name, chosen, graspable) if graspable else chosen
             _show(pool, chosen, page)
 
 

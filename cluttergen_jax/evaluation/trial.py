@@ -27,7 +27,17 @@ ROBUST = "robust"
 FREE_HEIGHT = "free height"
 
 _PAPERS = SceneSpec(method="random", num_objects=10, setting="paper")
-_PLACE = ("objects", "shelf", "weights", "theme", "balance", "surface", "keep_out", "start")
+_PLACE = (
+    "objects",
+    "shelf",
+    "weights",
+    "theme",
+    "graspable",
+    "balance",
+    "surface",
+    "keep_out",
+    "start",
+)
 """Fields of a request that say what is placed where."""
 _RULES = (
     "natural",

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.placement.heightmap import VOID, HeightMap, HeightMapper
     from cluttergen_jax.placement.methods.baselines import LowestFit, cost_of_lowest_fit
     from cluttergen_jax.placement.methods.table import entry_of
-    from cluttergen_jax.placement.problem import Problem, Setup
+    from cluttergen_jax.placement.problem import Problem, ProblemConfig, Setup, compose
     from cluttergen_jax.placement.region import (
         KeepOut,
         Region,
@@ -53,7 +53,7 @@ __getattr__, __all__ = offer(
         "heightmap": ("HeightMap", "HeightMapper", "VOID"),
         "methods.baselines": ("LowestFit", "cost_of_lowest_fit"),
         "methods.table": ("entry_of",),
-        "problem": ("Problem", "Setup"),
+        "problem": ("Problem", "ProblemConfig", "Setup", "compose"),
         "region": ("KeepOut", "Region", "from_pose", "make_region", "pose_of_action", "to_pose"),
         "relations": (
             "KINDS",

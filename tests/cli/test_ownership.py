@@ -81,6 +81,7 @@ WRITERS = {
     ),
     "robot dataset": Writing("robot dataset {bank} --out {out}"),
     "robot check": Writing("robot check panda --picture {out}.png", "{out}.png", is_beside=True),
+    "robot clear": Writing("robot clear {bank} --out {out}.json", "{out}.json", is_beside=True),
     "rearrange": Writing("rearrange --pool dining --out {out}", "{out}/paper"),
     "import": Writing("import {file} --pool new --time-limit 60", "{pools}/new", is_beside=True),
     "import add": Writing("import {file} --pool mine --add", "{pools}/mine", is_beside=True),

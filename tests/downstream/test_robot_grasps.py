@@ -29,11 +29,20 @@ from cluttergen_jax.downstream.robot.grasping.grasps import (
     read_grasps,
     write_grasps,
 )
-from cluttergen_jax.downstream.transforms import angle_between, inverse, matrix_of, rigid
+from cluttergen_jax.downstream.robot.grasping.grips import first_grasp, rank_grasps
+from cluttergen_jax.downstream.robot.gripper import gripper_of
+from cluttergen_jax.downstream.transforms import (
+    angle_between,
+    inverse,
+    matrix_of,
+    pose_of,
+    rigid,
+)
 from cluttergen_jax.errors import PoolError
 from tests.helpers.worlds import box
 
 DOWN = np.diag([1.0, -1.0, -1.0])
+_COLUMNS_OF_GRASPS = ("pose", "held", "width", "shift", "slip", "turn", "margin", "is_low")
 
 
 def from_above(*heights, width=0.04):
@@ -144,3 +153,18 @@ def test_every_object_has_grasps(pool, home):
     assert sets.lacking == ()
     # The plate's rim is too low and too flat for this hand's palm.
     assert set(sets.lifted_only) <= {"dinner_plate"}
+
+
+def test_of_equal_grasps_the_one_in_which_the_object_turns_less_comes_first(cube_grasps):
+    _, grasps = cube_grasps
+    three = {name: np.repeat(getattr(grasps, name)[:1], 3, axis=0) for name in _COLUMNS_OF_GRASPS}
+    # The first turns by 15 degrees as the hand closes and lifts, the second by 6 in the test.
+    turn = matrix_of(np.array([0, 0, 0, np.cos(np.radians(7.5)), np.sin(np.radians(7.5)), 0, 0]))
+    three["held"][0] = pose_of(matrix_of(three["held"][0]) @ turn)
+    three["turn"] = np.radians([0.5, 6.5, 0.5])
+    ranked = list(rank_grasps(replace(grasps, **three), np.eye(4), gripper_of(find_robot())))
+    # Each also comes turned about its approach.
+    order = [np.abs(matrix_of(three["held"]) - grip.T_tool_object).max((1, 2)) for grip in ranked]
+    assert order[4].argmin() == 0
+    assert order[0].argmin() != 0
+    assert first_grasp(replace(grasps, **three)).turn == pytest.approx(three["turn"][2])

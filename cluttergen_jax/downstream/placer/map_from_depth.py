@@ -194,7 +194,7 @@ class QueryMaker:
       problem: the world and its queried region.
 
     Attributes:
-      grid: the cells of its maps.
+      grid: the cells of its maps. half_extents: f32[2], half of the region's sides, metres.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -215,7 +215,7 @@ class QueryMaker:
         self._region = problem.region
         self._radius = float(np.linalg.norm(self._geometry["half_extents"][:, :2], axis=1).max())
         self.grid = self.grid_of(CELL)
-        self._half = np.asarray(problem.region.half_extents, np.float32)
+        self.half_extents = np.asarray(problem.region.half_extents, np.float32)
 
     def grid_of(self, cell: float) -> Grid:
         """The same part of the top in cells of another size, metres."""
@@ -297,7 +297,7 @@ class QueryMaker:
             object_cloud=has["cloud"],
             cloud=sight.cloud,
             cloud_mask=sight.cloud_mask,
-            region_half_extents=self._half,
+            region_half_extents=self.half_extents,
             height_range=highest + 2 * has["half_extents"][2],
         )
 
@@ -312,7 +312,7 @@ class QueryMaker:
         x, y = (
             np.abs(corner + cell * (np.arange(number) + 0.5)) < half
             for corner, cell, number, half in zip(
-                self.grid.corner, self.grid.cell, found.height.shape, self._half, strict=True
+                self.grid.corner, self.grid.cell, found.height.shape, self.half_extents, strict=True
             )
         )
         is_asked = x[:, None] & y & (found.height > VOID)

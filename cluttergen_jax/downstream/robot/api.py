@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING
 
 from cluttergen_jax import SceneSpec
 from cluttergen_jax.config import FilmFormat, Method, check_names, check_range, check_workers
-from cluttergen_jax.downstream.words import RecordFormat, RobotTask, check_choice, check_factor
+from cluttergen_jax.downstream.words import (
+    GraspRule,
+    PadSource,
+    RecordFormat,
+    RobotTask,
+    check_choice,
+    check_factor,
+)
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import check_file, check_folder
 from cluttergen_jax.kept_folder import hold_file
@@ -25,6 +32,7 @@ if TYPE_CHECKING:
         RobotDescription,
         RobotTrials,
     )
+    from cluttergen_jax.downstream.robot.grasping.rounds import ClutterProposer, ClutterRounds
 
 _MOST_GRASPS = 4096
 _MOST_SEED = 999_999
@@ -39,6 +47,7 @@ def robot_grasps(
     objects: Sequence[str] = (),
     *,
     robot: str | Path | RobotDescription = "panda",
+    pads: float | PadSource | None = None,
     num_grasps: int = 64,
     seed: int = 0,
     num_threads: int = 0,
@@ -55,6 +64,7 @@ def robot_grasps(
       pool: a pool's name or folder, or several joined by +.
       objects: only these of its objects.
       robot: whose hand: a name of `cluttergen list`, or the YAML file of one of your own.
+      pads: friction of the fingers' pads, as `robot.set_pads` takes it; the description's if not given.
       num_grasps: for each object at most, spread over it.
       seed: of what is drawn.
       num_threads: 0 takes every core.
@@ -79,6 +89,7 @@ def robot_grasps(
         grasps_of,
         write_grasps,
     )
+    from cluttergen_jax.downstream.robot.grasping.pads import set_pads
 
     check_file(out, "out", "grasps.parquet")
     check_file(picture, "picture", "grasps.png")
@@ -88,6 +99,8 @@ def robot_grasps(
     check_range("seed", seed, 0, _MOST_SEED, 0)
     found = find_pool(pool)
     described = usable_robot(robot)
+    if pads is not None:
+        described = set_pads(described, pads)
     chosen = tuple(found[name] for name in objects) or found.objects
     with hold_file(out), hold_file(picture):
         made = grasps_of(chosen, num_grasps, seed, num_threads, fresh, described)
@@ -416,3 +429,78 @@ def grasp_dataset(
     lifts = num_grasps if num_lifts is None else num_lifts
     plan = GraspPlan(usable_robot(robot), num_grasps, lifts, views, float(noise), seed)
     return make(bank_folder(bank), num_scenes, plan, Path(out), num_threads or os.cpu_count() or 1)
+
+
+@with_own_settings
+def clear_clutter(
+    bank: str | Path,
+    proposer: str | ClutterProposer = "geometry",
+    *,
+    rule: GraspRule = "vgn",
+    robot: str | Path | RobotDescription = "panda",
+    pads: float | PadSource | None = None,
+    views: int = 6,
+    noise: float = 1.0,
+    num_rounds: int | None = None,
+    out: str | Path | None = None,
+    seed: int = 0,
+    num_threads: int = 0,
+) -> ClutterRounds:
+    """Clears the piles of a bank grasp by grasp, in rounds as in VGN's paper (`cluttergen robot clear`).
+
+    Before each attempt the hand's cameras look anew, a proposer chooses one grasp, and MuJoCo executes it
+    with everything awake; what is lifted is taken away, and the rest settles. A round ends when no object is
+    left, nothing is proposed, or two attempts in a row fail (Breyer et al., CoRL 2020).
+
+    Args:
+      bank: the bank's folder: piles on 0.28x0.28 m; what lies outside of VGN's cube of 30 cm is left out.
+      proposer: "geometry", antipodal grasps of the seen volume whose open hand is clear; or your own, as
+        FILE.py:NAME or MODULE:NAME; in Python also a function (rng, view) -> T_world_tool f[4, 4] and a width
+        in metres, or None (`cluttergen_jax.downstream.robot.grasping.rounds.ClutterProposer`).
+      rule: "vgn": the hand starts wide open, 5 cm back, stops where it touches something and closes there,
+        goes back by 10 cm, and counts if it holds something then. "strict": the hand, opened for what it
+        takes, may touch nothing at the grasp and on its last 10 cm, and lifts the object by 8 cm or more.
+      robot: whose hand: a name of `cluttergen list`, or the YAML file of one of your own.
+      pads: friction of the fingers' pads, as `robot.set_pads` takes it; the description's if not given.
+      views: depth images before each attempt.
+      noise: factor of the simulated sensor noise of a usual depth camera; 0 for none.
+      num_rounds: the first so many scenes; all if not given.
+      out: write the rounds into this JSON file too.
+      seed: of cameras, noise and choices.
+      num_threads: 0 takes every core.
+
+    Returns:
+      The rounds; printed, the success rate of attempts and the share of objects cleared.
+
+    Raises:
+      ConfigError: a setting is out of range, or a proposer of your own answers something else.
+      BankError: there is no bank, none of its scenes stands, or the hand can hold none of its objects.
+      MissingExtraError: the extra `robot` is not installed.
+    """
+    import os
+
+    from cluttergen_jax.downstream.robot.check import usable_robot
+    from cluttergen_jax.downstream.robot.grasping.pads import set_pads
+    from cluttergen_jax.downstream.robot.grasping.rounds import (
+        RoundPlan,
+        clear_piles,
+        find_proposer,
+    )
+    from cluttergen_jax.scene import bank_folder
+
+    check_file(out, "out", "rounds.json")
+    check_choice("rule", rule, GraspRule)
+    check_workers("num_threads", num_threads)
+    check_range("views", views, 1, _MOST_VIEWS, 6)
+    check_factor(noise)
+    check_range("seed", seed, 0, _MOST_SEED, 0)
+    if num_rounds is not None:
+        check_range("num_rounds", num_rounds, 1, _MOST_EPISODES, 40)
+    described = usable_robot(robot)
+    if pads is not None:
+        described = set_pads(described, pads)
+    plan = RoundPlan(described, rule, find_proposer(proposer), views, float(noise), seed)
+    target = None if out is None else Path(out)
+    with hold_file(out):
+        threads = num_threads or os.cpu_count() or 1
+        return clear_piles(bank_folder(bank), plan, num_rounds, threads, target)

@@ -166,6 +166,7 @@ _POSITIVE = (
     "pad",
     "force",
     "region",
+    "friction",
 )
 _MOST_HEIGHT = 1.0
 
@@ -247,6 +248,8 @@ class GripperDescription:
       pad: metres, half of a pad's length along the approach.
       gain, damping, force: of the actuator, in place of what the model says; force: at most, either way.
       inertia: of the joints' drives (`armature`), in place of what the model says.
+      friction: sliding coefficient of the pads (`grasping.pads`); if not given, that of the scene's contacts,
+        or of the object that is held.
     """
 
     body: str
@@ -266,6 +269,7 @@ class GripperDescription:
     damping: float | None = None
     force: float | None = None
     inertia: float | None = None
+    friction: float | None = None
 
     @property
     def path(self) -> Path:
@@ -276,8 +280,11 @@ class GripperDescription:
     def hash(self) -> str:
         """Hex digest of what it is, wherever its files lie and whatever it is attached to."""
         fields = _fields(self, "file", "package", "attach", "pose")
+        # Digests are those of before there were these.
         if self.table is not None and not self.table.side:
             del fields["table"]["side"]
+        if self.friction is None:
+            del fields["friction"]
         return model_digest(fields, self.path)
 
 

@@ -9,7 +9,7 @@ from typing import Self
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets import VISUAL_GROUP, Box, SupportAsset
+from cluttergen_jax.assets import VISUAL_GROUP, Box, SupportAsset, own_contact
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.description import (
     GripperDescription,
@@ -33,6 +33,8 @@ IMPRATIO = 10.0
 second under what hangs beside the fingers."""
 _WORLD = "world"
 _OF_JOINTS = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+PAD_PRIORITY = 1_000_000
+"""Above that of objects with a friction of their own."""
 _HIDDEN_GROUP = 3
 """Of shapes that only collide, as Menagerie has it; it and those above are not drawn."""
 # Metres, half of its side.
@@ -47,6 +49,8 @@ def arm_spec(contact: ContactConfig, robot: RobotDescription) -> mujoco.MjSpec:
     if not robot.gripper.attach:
         _prepare_gripper(spec, robot.gripper)
     _prepare(spec, contact)
+    if not robot.gripper.attach:
+        _prepare_pads(spec, robot.gripper, contact)
     _prepare_arm(spec, robot)
     if robot.gripper.attach:
         hand = hand_spec(contact, robot)
@@ -71,6 +75,7 @@ def hand_spec(contact: ContactConfig, robot: RobotDescription) -> mujoco.MjSpec:
     _cut_out(spec, gripper.body, robot.arm.joints)
     _prepare_gripper(spec, gripper)
     _prepare(spec, contact)
+    _prepare_pads(spec, gripper, contact)
     hand = spec.body(gripper.body)
     hand.pos = (0, 0, 0)
     hand.quat = (1, 0, 0, 0)
@@ -240,6 +245,27 @@ def _prepare_gripper(spec: mujoco.MjSpec, gripper: GripperDescription) -> None:
         pad.contype |= 1
         pad.conaffinity |= 1
     spec.body(gripper.body).add_site(name=TOOL, pos=gripper.tool[:3], quat=gripper.tool[3:])
+
+
+def pad_geoms(spec: mujoco.MjSpec, gripper: GripperDescription) -> list[mujoco.MjsGeom]:
+    """What collides of the bodies of its pads; of its joints' bodies, where a table stands for the pads."""
+    if gripper.pads:
+        bodies = [spec.geom(name).parent for name in gripper.pads]
+    else:
+        bodies = [spec.joint(name).parent for name in gripper.joints]
+    names = {body.name for body in bodies}
+    found = [geom for body in spec.bodies if body.name in names for geom in body.geoms]
+    return [geom for geom in found if geom.contype or geom.conaffinity or geom.name in gripper.pads]
+
+
+def _prepare_pads(spec: mujoco.MjSpec, gripper: GripperDescription, contact: ContactConfig) -> None:
+    """Pads of a friction of their own: it decides whatever they touch."""
+    if gripper.friction is None:
+        return
+    friction, _ = own_contact(gripper.friction, contact.friction)
+    for geom in pad_geoms(spec, gripper):
+        geom.friction = friction
+        geom.priority = PAD_PRIORITY
 
 
 def _for_holding(spec: mujoco.MjSpec) -> None:

@@ -162,8 +162,8 @@ def run_trials(
       robot: that does it; the Panda if not given.
 
     Raises:
-      BankError: there is no scene, another process writes to `out`, it holds rows of another recipe or of
-        other scenes, or a film shows another end.
+      BankError: there is no scene, the hand holds no object that is to be moved, another process writes to
+        `out`, it holds rows of another recipe or of other scenes, or a film shows another end.
       RendererError: films are asked for, and nothing here can draw.
     """
     if not scenes:
@@ -190,6 +190,12 @@ def run_trials(
     assets = {scene.objects[-1].name: scene.objects[-1] for scene in islice(cycle(scenes), number)}
     found = GraspFinder(own_grasps, num_threads, robot)(list(assets.values()))
     grasps: dict[str, Grasps] = dict(zip(assets, found, strict=True))
+    if not rows and not any(map(len, found)):
+        raise BankError(
+            f"the hand of {robot.name} holds none of what is to be moved: {', '.join(assets)}",
+            "scenes whose last object it holds, in one at least",
+            f"a bank of `cluttergen generate` with --graspable {robot.name}, or another robot",
+        )
     file.note_grasps({name: each.digest for name, each in grasps.items()})
 
     def run(index: int, trace: Trace | None = None) -> EpisodeResult:

@@ -58,6 +58,16 @@ _CARRIAGE = "carriage"
 _GAIN = 2e4
 _DAMPING = 400.0
 
+_UPWARDS = ((0.0, 0.0, 1.0),)
+# As VGN has them: metres before the grasp from which the hand comes, by which it goes back, and of a step;
+# metres a second; radians from straight down from which it goes back upwards; share of the widest opening.
+_START = 0.05
+_BACK_BY = 0.10
+_STEP_LENGTH = 0.002
+_SPEED = 0.10
+_STEEP = np.pi / 3
+_LEAST_GAP = 0.1
+
 _SPREAD = np.radians(35)
 """Of antipodal candidates: most that come flatly are blocked."""
 _AWAY = np.array([0.0, 0.0, 100.0, 1.0, 0.0, 0.0, 0.0])
@@ -78,13 +88,15 @@ class LiftEnd(StrEnum):
     """What became of a lift.
 
     LIFTED: an object came up with the hand. EMPTY: the fingers closed on nothing. LOST: they closed on
-    something that did not come up. DIVERGED: the simulation failed.
+    something that did not come up. DIVERGED: the simulation failed. BLOCKED: the open hand touched something
+    before it closed, where that ends an attempt (`rounds.GraspRule`).
     """
 
     LIFTED = "lifted"
     EMPTY = "empty"
     LOST = "lost"
     DIVERGED = "diverged"
+    BLOCKED = "blocked"
 
 
 class ClutterGrasps(NamedTuple):
@@ -320,15 +332,17 @@ class LiftScene(_HandScene):
       robot: whose hand it is.
     """
 
+    _ways: tuple[tuple[float, float, float], ...] = _UPWARDS
+
     def __init__(self, scene: Scene, robot: RobotDescription) -> None:
-        super().__init__(_spec_with_hand(scene, robot, visual=False), robot)
+        super().__init__(_spec_with_hand(scene, robot, visual=False, ways=self._ways), robot)
         # What diverges is to be seen, not begun anew.
         self._model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self._bodies = [self._model.body(name).id for name in scene.names]
         self._is_object = np.isin(np.arange(self._model.nbody), self._bodies)
-        # The carriage's motor was added first.
-        self._up = 0
-        self._grip = 1
+        # The carriage's motors were added first.
+        self._up = len(self._ways) - 1
+        self._grip = len(self._ways)
 
     def lift(self, pose: np.ndarray, width: float) -> Lift:
         """Closes the hand at T_world_tool f64[4, 4] and lifts what it holds."""
@@ -361,6 +375,11 @@ class LiftScene(_HandScene):
             return Lift(LiftEnd.LOST, -1, self._gap(), self._largest_shift(start, -1))
         return Lift(LiftEnd.LIFTED, highest, self._gap(), self._largest_shift(start, highest))
 
+    def poses(self) -> np.ndarray:
+        """f64[K, 7]: T_world_object as the last lift left them."""
+        data = self._data
+        return np.concatenate([data.xpos[self._bodies], data.xquat[self._bodies]], axis=1)
+
     def _gap(self) -> float:
         return 2 * self._gripper.measure(self._data.qpos[self._fingers])
 
@@ -377,8 +396,97 @@ class LiftScene(_HandScene):
         )
 
 
-def _spec_with_hand(scene: Scene, robot: RobotDescription, visual: bool) -> mujoco.MjSpec:
-    """A scene and a hand that can rise, at 100 m."""
+class ApproachScene(LiftScene):
+    """A scene in which a hand comes as VGN's does (`execute_grasp` of its simulation); everything is awake.
+
+    It starts wide open, 5 cm back, comes straight, stops where it touches anything and closes there; then it
+    goes back by 10 cm, upwards where the approach is more than 60 degrees from straight down.
+    """
+
+    _ways = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+    def approach(self, pose: np.ndarray) -> Lift:
+        """Comes to T_world_tool f64[4, 4], closes, and goes back.
+
+        An object counts as lifted if the hand touches it in the end and is open by more than a tenth of the
+        widest.
+        """
+        model = self._model
+        data = self._data
+        mujoco.mj_resetData(model, data)
+        gripper = self._gripper
+        self._put(shift_along(pose, (0.0, 0.0, -_START)), gripper.max_opening)
+        come = float(gripper.control_of(gripper.max_opening))
+        data.ctrl[self._grip] = come
+        mujoco.mj_forward(model, data)
+        start = data.xpos[self._bodies].copy()
+        if self._touches(self._is_hand):
+            return Lift(LiftEnd.BLOCKED, -1, self._gap(), 0.0)
+        way = _START * pose[:3, 2]
+        if self._move_to(way, stops=True):
+            # It stands where it touched, not where it was on its way to.
+            data.ctrl[: self._grip] = data.qpos[self._slides]
+        for step in range(0, round(_CLOSE / _TIMESTEP), _AT_ONCE):
+            share = min(1.0, step * _TIMESTEP / (0.9 * _CLOSE))
+            data.ctrl[self._grip] = come + share * (gripper.closed - come)
+            mujoco.mj_step(model, data, _AT_ONCE)
+        is_from_above = -pose[2, 2] >= np.cos(_STEEP)
+        back = -_BACK_BY * pose[:3, 2] if is_from_above else np.array([0.0, 0.0, _BACK_BY])
+        self._move_to(way + back)
+        if not np.isfinite(data.qpos).all():
+            return Lift(LiftEnd.DIVERGED, -1, 0.0, np.inf)
+        touched = self._touched_objects()
+        if not len(touched):
+            return Lift(LiftEnd.EMPTY, -1, self._gap(), self._largest_shift(start, -1))
+        if self._gap() <= _LEAST_GAP * 2 * gripper.max_opening:
+            return Lift(LiftEnd.LOST, -1, self._gap(), self._largest_shift(start, -1))
+        rise = data.xpos[self._bodies, 2] - start[:, 2]
+        highest = int(touched[rise[touched].argmax()])
+        return Lift(LiftEnd.LIFTED, highest, self._gap(), self._largest_shift(start, highest))
+
+    @property
+    def _slides(self) -> np.ndarray:
+        return np.array([self._model.joint(name).qposadr[0] for name in _slide_names(self._ways)])
+
+    def _move_to(self, place: np.ndarray, stops: bool = False) -> bool:
+        """Moves the hand straight to f64[3] from where it started; True if it touched something."""
+        data = self._data
+        begin = data.ctrl[: self._grip].copy()
+        number = max(1, int(np.linalg.norm(place - begin) / _STEP_LENGTH))
+        for step in range(number):
+            data.ctrl[: self._grip] = begin + (step + 1) / number * (place - begin)
+            mujoco.mj_step(self._model, data, round(_STEP_LENGTH / _SPEED / _TIMESTEP))
+            if stops and self._touches(self._is_hand):
+                return True
+        return False
+
+    def _touches(self, is_one: np.ndarray) -> bool:
+        """Whether bodies bool[nbody] touch any other."""
+        contact = self._data.contact
+        is_between = is_one[self._model.geom_bodyid[contact.geom]].sum(1) == 1
+        return bool((is_between & (contact.dist <= 0)).any())
+
+    def _touched_objects(self) -> np.ndarray:
+        """i64[T]: the numbers of the objects that the hand touches."""
+        contact = self._data.contact
+        bodies = self._model.geom_bodyid[contact.geom]
+        is_between = self._is_hand[bodies].any(1) & self._is_object[bodies].any(1)
+        found = np.unique(bodies[is_between & (contact.dist <= 0)])
+        return np.flatnonzero(np.isin(self._bodies, found))
+
+
+def _slide_names(ways: Sequence[object]) -> list[str]:
+    """Of the carriage's joints and motors."""
+    return [_CARRIAGE if not number else f"{_CARRIAGE}{number}" for number in range(len(ways))]
+
+
+def _spec_with_hand(
+    scene: Scene,
+    robot: RobotDescription,
+    visual: bool,
+    ways: Sequence[tuple[float, float, float]] = _UPWARDS,
+) -> mujoco.MjSpec:
+    """A scene and a hand, at 100 m, that can move along some ways."""
     spec = populated_spec(
         scene.names,
         scene.objects,
@@ -394,15 +502,16 @@ def _spec_with_hand(scene: Scene, robot: RobotDescription, visual: bool) -> mujo
     spec.option.impratio = IMPRATIO
     copy_options(spec, hand)
     carriage = spec.worldbody.add_body(name=_CARRIAGE, pos=_AWAY[:3])
-    carriage.add_joint(name=_CARRIAGE, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(0, 0, 1))
-    motor = spec.add_actuator(
-        name=_CARRIAGE,
-        target=_CARRIAGE,
-        trntype=mujoco.mjtTrn.mjTRN_JOINT,
-        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-    )
-    motor.gainprm[0] = _GAIN
-    motor.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-    motor.biasprm[:3] = 0.0, -_GAIN, -_DAMPING
+    for name, axis in zip(_slide_names(ways), ways, strict=True):
+        carriage.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+        motor = spec.add_actuator(
+            name=name,
+            target=name,
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+        )
+        motor.gainprm[0] = _GAIN
+        motor.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+        motor.biasprm[:3] = 0.0, -_GAIN, -_DAMPING
     spec.attach(hand, prefix=_PREFIX, frame=carriage.add_frame())
     return spec
