@@ -158,6 +158,10 @@ _EXTENT = 1.5
 _NEAR = 0.02
 _FAR = 40.0
 
+_REACHED = 1000
+"""Poses of an arm that are drawn to find how far it reaches."""
+_REACH_SLACK = 1.1
+"""Times as far as any of these it may reach."""
 _PROBED = 64
 _HAND_CONTACTS = 32
 _HEADROOM = 2.0
@@ -231,6 +235,10 @@ class RobotWorld(BankWorld):
             support=self.support,
             cameras=(),
         )
+
+    def state_of(self, scene: BankArrays, key: Array) -> WorldState:
+        """The beginning of an episode in this scene of the bank; pure. key: of what is randomized."""
+        return self._state(scene, key)
 
     def _state(self, scene: BankArrays, key: Array) -> WorldState:
         state = super()._state(scene, key)
@@ -329,6 +337,34 @@ def with_robot(
     set_home(found, Arm.of(model, found), qpos, ctrl)
     attached = BankAttachment(bank)
     return RobotWorld(attached, model, qpos, ctrl, spec, physics, found, base, randomization)
+
+
+def check_reach(world: RobotWorld, places: np.ndarray) -> None:
+    """Refuses an arm that is too short for every last object of the scenes `places`, i[M].
+
+    Raises:
+      ConfigError: it is. A tool that comes as far may still come there in no useful pose.
+    """
+    model = world.model
+    arm = world.robot
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(0)
+    reach = 0.0
+    for joints in rng.uniform(arm.low, arm.high, (_REACHED, len(arm.qpos))):
+        data.qpos[:] = world.qpos0
+        data.qpos[arm.qpos] = joints
+        mujoco.mj_kinematics(model, data)
+        reach = max(reach, float(np.linalg.norm(data.site_xpos[arm.site] - world.base[:3])))
+    poses = np.asarray(world.bank.poses)[places]
+    last = (np.asarray(world.bank.object_index)[places] >= 0).sum(1) - 1
+    away = np.linalg.norm(poses[np.arange(len(places)), last, :3] - world.base[:3], axis=1).min()
+    if away > _REACH_SLACK * reach:
+        raise ConfigError(
+            f"robot {world.description.name}, which reaches {reach:.2f} m from its base, where the nearest "
+            f"object to be moved is {away:.2f} m away",
+            "scenes within its reach",
+            "a smaller `distance` in its description, or a smaller region",
+        )
 
 
 def _make_fast(spec: mujoco.MjSpec) -> None:
