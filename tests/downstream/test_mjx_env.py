@@ -34,6 +34,8 @@ from cluttergen_jax.geometry import product
 from tests.helpers.placing import write_bank
 
 PERIOD = 0.05
+TOLERANCE = 1e-3
+"""Metres and radians by which MJX in float32 and native MuJoCo may differ in 0.15 s."""
 LIMITS = StabilityConfig()
 
 
@@ -348,3 +350,59 @@ def test_a_bank_without_a_success_is_refused(tmp_path):
     path = write_bank(tmp_path / "bank", num_scenes=1, is_success=False).path
     with pytest.raises(BankError, match="none of its 1 scenes succeeded"):
         cg.make_mjx_env(path)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_worlds_are_stepped_as_native_mujoco_steps_them_and_begin_again(bank):
+    """In pure JAX, a batch scanned within Brax's own wrappers; each world a scene of its own."""
+    from brax.envs.wrappers.training import wrap
+
+    length = 4
+    env = cg.make_mjx_env(bank, task="place", impl="jax", randomization=cg.RandomizationConfig())
+    wrapped = wrap(env, episode_length=length)
+    keys = jax.random.split(jax.random.PRNGKey(3), 3)
+    begun = jax.jit(wrapped.reset)(keys)
+    assert begun.obs.shape == (3, env.observation_size)
+    assert len(set(begun.info["scene"].tolist())) > 1
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-0.3, 0.3, (length + 2, 3, env.action_size)).astype(np.float32)
+
+    def step(state, action):
+        state = wrapped.step(state, action)
+        kept = {name: getattr(state.data, name) for name in ("qpos", "ctrl", "sensordata")}
+        return state, (kept, state.obs, state.reward, state.done, state.info["memory"].num_steps)
+
+    last, (kept, obs, reward, done, steps) = jax.jit(lambda *a: jax.lax.scan(step, *a))(
+        begun, actions
+    )
+    assert obs.shape == (length + 2, 3, env.observation_size)
+    np.testing.assert_array_equal(done, (np.arange(1, length + 3) == length)[:, None] * np.ones(3))
+    np.testing.assert_array_equal(steps[:, 0], [1, 2, 3, 4, 1, 2])
+    assert np.isfinite(reward).all()
+    assert last.info["truncation"].shape == (3,)
+    # What is back at the start is the simulation that the wrapper kept.
+    np.testing.assert_array_equal(kept["qpos"][length - 1], begun.data.qpos)
+    model = env.mj_model
+    data = mujoco.MjData(model)
+    controls = MjxControls(env.world, env.dt)
+    for number in range(3):
+        one = jax.tree.map(lambda leaf, n=number: np.asarray(leaf)[n], begun.info["fields"])
+        for name, value in one.items():
+            getattr(model, name)[:] = value
+        mujoco.mj_resetData(model, data)
+        for name in ("qpos", "ctrl", "xfrc_applied"):
+            getattr(data, name)[:] = np.asarray(getattr(begun.data, name))[number]
+        for step_number in range(length - 1):
+            first = data.ctrl.copy()
+            ctrl = controls.ctrl_of(actions[step_number, number], jnp.asarray(first, jnp.float32))
+            for share in np.arange(1, env.n_substeps + 1) / env.n_substeps:
+                data.ctrl[:] = first + (np.asarray(ctrl) - first) * share
+                mujoco.mj_step(model, data)
+            np.testing.assert_allclose(
+                kept["qpos"][step_number, number], data.qpos, atol=TOLERANCE
+            )
+    # The objects of a scene rest, and the arm did move.
+    moved_by = np.abs(np.asarray(kept["qpos"])[length - 2] - np.asarray(begun.data.qpos))
+    assert moved_by[:, env.world.object_qpos].max() < LIMITS.max_shift
+    assert moved_by[:, env.world.robot.qpos].max() > 0.01
