@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 from cluttergen_jax.config import check_range
 from cluttergen_jax.errors import ConfigError, MissingExtraError, closest
+from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
     import numpy as np
@@ -115,6 +116,7 @@ def make_robot_env(
     )
 
 
+@with_own_settings
 def make_mjx_env(
     bank: BankArrays | str | Path = "bank",
     robot: RobotLike = "panda",

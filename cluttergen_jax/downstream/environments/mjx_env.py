@@ -30,6 +30,7 @@ from cluttergen_jax.downstream.environments.tasks import LIFTED
 from cluttergen_jax.downstream.environments.world import RobotWorld
 from cluttergen_jax.downstream.robot.episode import stand_beside
 from cluttergen_jax.downstream.robot.motion.execute import MAX_FORCE
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation import BankArrays, WorldState
 from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.types import Array
@@ -123,10 +124,10 @@ class MjxRobotEnv:
             contacts, rows = world.limits
             most = contacts * num_envs
             room = {"naconmax": most, "naccdmax": most, "njmax": rows}
-        self._mjx_model = mjx.put_model(model, impl=impl)
+        self._mjx_model = _on_device(model, impl)
         self._blank = mjx.make_data(model, impl=impl, **room)
         resting = [each.resting[0] for each in world.bank.compiled.objects]
-        self._resting = jnp.asarray([[each.height, *each.quaternion] for each in resting])
+        self._resting = jnp.array([[each.height, *each.quaternion] for each in resting])
 
     @with_own_settings
     def reset(self, key: Array) -> MjxState:
@@ -294,6 +295,20 @@ _COUNTED = {
     if end not in (EpisodeEnd.NONE, EpisodeEnd.TIME_LIMIT)
 }
 """Endings that metrics count, by name."""
+
+
+def _on_device(model: mujoco.MjModel, impl: str) -> mjx.Model:
+    """The model for an engine.
+
+    Raises:
+      ConfigError: pure JAX has no collision of some of its shapes.
+    """
+    try:
+        return mjx.put_model(model, impl=impl)
+    except NotImplementedError as error:
+        raise ConfigError(
+            f"impl = {impl!r} for this bank and robot: {error}", "warp", "impl='warp', extra gpu"
+        ) from error
 
 
 def _where(condition: Array, one: JudgeMemory, other: JudgeMemory) -> JudgeMemory:

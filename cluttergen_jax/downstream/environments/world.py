@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets import Box, SupportAsset
@@ -158,10 +159,10 @@ _EXTENT = 1.5
 _NEAR = 0.02
 _FAR = 40.0
 
-_REACHED = 1000
-"""Poses of an arm that are drawn to find how far it reaches."""
-_REACH_SLACK = 1.1
-"""Times as far as any of these it may reach."""
+_REACHED = 4000
+"""Poses of an arm that are drawn to find how near it comes to objects."""
+_NEAR_ENOUGH = 0.15
+"""Metres: neighbours among these are so far apart."""
 _PROBED = 64
 _HAND_CONTACTS = 32
 _HEADROOM = 2.0
@@ -340,30 +341,33 @@ def with_robot(
 
 
 def check_reach(world: RobotWorld, places: np.ndarray) -> None:
-    """Refuses an arm that is too short for every last object of the scenes `places`, i[M].
+    """Refuses an arm that comes near to no last object of the scenes `places`, i[M].
 
     Raises:
-      ConfigError: it is. A tool that comes as far may still come there in no useful pose.
+      ConfigError: it does not. A tool that comes near may still come there in no useful pose.
     """
     model = world.model
     arm = world.robot
-    data = mujoco.MjData(model)
-    rng = np.random.default_rng(0)
-    reach = 0.0
-    for joints in rng.uniform(arm.low, arm.high, (_REACHED, len(arm.qpos))):
-        data.qpos[:] = world.qpos0
-        data.qpos[arm.qpos] = joints
-        mujoco.mj_kinematics(model, data)
-        reach = max(reach, float(np.linalg.norm(data.site_xpos[arm.site] - world.base[:3])))
     poses = np.asarray(world.bank.poses)[places]
     last = (np.asarray(world.bank.object_index)[places] >= 0).sum(1) - 1
-    away = np.linalg.norm(poses[np.arange(len(places)), last, :3] - world.base[:3], axis=1).min()
-    if away > _REACH_SLACK * reach:
+    targets = KDTree(poses[np.arange(len(places)), last, :3])
+    data = mujoco.MjData(model)
+    data.qpos[:] = world.qpos0
+    rng = np.random.default_rng(0)
+    tools = np.empty((_REACHED, 3))
+    for tool, joints in zip(
+        tools, rng.uniform(arm.low, arm.high, (_REACHED, len(arm.qpos))), strict=True
+    ):
+        data.qpos[arm.qpos] = joints
+        mujoco.mj_kinematics(model, data)
+        tool[:] = data.site_xpos[arm.site]
+    away = float(targets.query(tools)[0].min())
+    if away > _NEAR_ENOUGH:
         raise ConfigError(
-            f"robot {world.description.name}, which reaches {reach:.2f} m from its base, where the nearest "
-            f"object to be moved is {away:.2f} m away",
+            f"robot {world.description.name}, whose tool comes no nearer than {away:.2f} m to any object "
+            "that is to be moved",
             "scenes within its reach",
-            "a smaller `distance` in its description, or a smaller region",
+            "another `distance` in its description, or a smaller region",
         )
 
 
