@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -37,6 +38,8 @@ from cluttergen_jax.types import Array
 
 _MAX_STATE = 1e10
 """MuJoCo's own limit (mjMAXVAL): what is larger has diverged."""
+_FEW_SHAPES = 16
+"""Colliding shapes with which pure JAX compiles in some minutes."""
 _OF_PHYSICS = (
     "body_mass",
     "body_inertia",
@@ -298,11 +301,18 @@ _COUNTED = {
 
 
 def _on_device(model: mujoco.MjModel, impl: str) -> mjx.Model:
-    """The model for an engine.
+    """The model for an engine; who waits long for it is warned.
 
     Raises:
       ConfigError: pure JAX has no collision of some of its shapes.
     """
+    num_shapes = int(((model.geom_contype > 0) | (model.geom_conaffinity > 0)).sum())
+    if impl == "jax" and num_shapes > _FEW_SHAPES:
+        warnings.warn(
+            f"MJX in pure JAX compiles for many minutes with {num_shapes} colliding shapes; impl='warp' "
+            "(extra gpu) takes two, on a CPU, too",
+            stacklevel=4,
+        )
     try:
         return mjx.put_model(model, impl=impl)
     except NotImplementedError as error:
