@@ -4,6 +4,7 @@
     bank = cluttergen_jax.load_bank("out")                                 # bank.reset(key) -> BankArrays
     env = cluttergen_jax.make_env(pool="dining", num_objects=5)            # a Brax environment, to train in
     envs = cluttergen_jax.envs.make_vector_env(64, pool="dining")          # a VectorEnv of Gymnasium
+    env = cluttergen_jax.make_mjx_env("out", robot="panda", task="grasp")  # a robot in its scenes, on MJX
     bank = cluttergen_jax.load_bank("owner/name")                          # pulled from a hub
 
 Every command has a function with the same defaults and the same names of options:
@@ -72,6 +73,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets.pool import find_pool as load_pool
     from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.assets.support_file import find_support as load_support
+    from cluttergen_jax.downstream.environments.api import make_mjx_env
     from cluttergen_jax.downstream.placer.own_depth import propose_places
     from cluttergen_jax.downstream.rearrange.api import rearrange
     from cluttergen_jax.evaluation.api import evaluate
@@ -106,6 +108,7 @@ __all__ = [
     "load_support",
     "make_dataset",
     "make_env",
+    "make_mjx_env",
     "make_region",
     "make_sampler",
     "perception",
@@ -203,6 +206,7 @@ __getattr__, __dir__ = name_space(
         "load_support": "assets.support_file:find_support",
         "make_dataset": "api.render:make_dataset",
         "make_env": "generation.environments:make_env",
+        "make_mjx_env": "downstream.environments.api:make_mjx_env",
         "make_region": "placement.region:make_region",
         "make_sampler": "generation:make_sampler",
         "perception": "perception",

@@ -133,7 +133,7 @@ def clear_piles(options: Options) -> None:
 
 
 run_robot = Group(
-    """A robot arm in simulation: grasps, episodes, data of grasps, rounds in clutter; a try of its description.
+    """A robot arm in simulation: grasps, episodes, data of grasps, rounds in clutter; checks of robots.
 
     Example: `cluttergen robot grasps household`
     """,

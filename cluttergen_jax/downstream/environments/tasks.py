@@ -99,9 +99,10 @@ class RecordedExecution(WorldExecution):
 
 LEFT = 0.025
 """Metres from where it last touched an object from which on the open hand has left it."""
-_FALLEN = 0.1
+FALLEN = 0.1
 """Metres below the support's top."""
-_LIFTED = 0.8 * LIFT
+LIFTED = 0.8 * LIFT
+"""Metres by which an object that counts as grasped was lifted at least."""
 _UPRIGHT = np.cos(np.radians(3.0))
 
 
@@ -316,7 +317,7 @@ class _HandWatch:
 
 
 def _check_fallen(execution: WorldExecution, scene: Scene) -> None:
-    low = execution.poses()[:, 2] < scene.support.lowest - _FALLEN
+    low = execution.poses()[:, 2] < scene.support.lowest - FALLEN
     if low.any():
         raise Failed(Outcome.OUTSIDE, f"{scene.names[int(low.argmax())]} fell")
 
@@ -335,7 +336,7 @@ class _GraspJudge:
         target = self.start.target
         _check_fallen(self.execution, scene)
         height = self.execution.pose(target)[2, 3] - scene.poses[target, 2]
-        if height < _LIFTED or not self.execution.is_touching:
+        if height < LIFTED or not self.execution.is_touching:
             return False
         self._referee.check_others()
         return True

@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets import Box, SupportAsset
@@ -159,6 +160,10 @@ _EXTENT = 1.5
 _NEAR = 0.02
 _FAR = 40.0
 
+_REACHED = 4000
+"""Poses of an arm that are drawn to find how near it comes to objects."""
+_NEAR_ENOUGH = 0.15
+"""Metres: neighbours among these are so far apart."""
 _PROBED = 64
 _HAND_CONTACTS = 32
 _HEADROOM = 2.0
@@ -232,6 +237,10 @@ class RobotWorld(BankWorld):
             support=self.support,
             cameras=(),
         )
+
+    def state_of(self, scene: BankArrays, key: Array) -> WorldState:
+        """The beginning of an episode in this scene of the bank; pure. key: of what is randomized."""
+        return self._state(scene, key)
 
     def _state(self, scene: BankArrays, key: Array) -> WorldState:
         state = super()._state(scene, key)
@@ -331,6 +340,37 @@ def with_robot(
     set_home(found, Arm.of(model, found), qpos, ctrl)
     attached = BankAttachment(bank)
     return RobotWorld(attached, model, qpos, ctrl, spec, physics, found, base, randomization)
+
+
+def check_reach(world: RobotWorld, places: np.ndarray) -> None:
+    """Refuses an arm that comes near to no last object of the scenes `places`, i[M].
+
+    Raises:
+      ConfigError: it does not. A tool that comes near may still come there in no useful pose.
+    """
+    model = world.model
+    arm = world.robot
+    poses = np.asarray(world.bank.poses)[places]
+    last = (np.asarray(world.bank.object_index)[places] >= 0).sum(1) - 1
+    targets = KDTree(poses[np.arange(len(places)), last, :3])
+    data = mujoco.MjData(model)
+    data.qpos[:] = world.qpos0
+    rng = np.random.default_rng(0)
+    tools = np.empty((_REACHED, 3))
+    for tool, joints in zip(
+        tools, rng.uniform(arm.low, arm.high, (_REACHED, len(arm.qpos))), strict=True
+    ):
+        data.qpos[arm.qpos] = joints
+        mujoco.mj_kinematics(model, data)
+        tool[:] = data.site_xpos[arm.site]
+    away = float(targets.query(tools)[0].min())
+    if away > _NEAR_ENOUGH:
+        raise ConfigError(
+            f"robot {world.description.name}, whose tool comes no nearer than {away:.2f} m to any object "
+            "that is to be moved",
+            "scenes within its reach",
+            "another `distance` in its description, or a smaller region",
+        )
 
 
 def _make_fast(spec: mujoco.MjSpec) -> None:

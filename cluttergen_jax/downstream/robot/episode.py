@@ -31,6 +31,8 @@ STAND_SIDE = 0.26
 """Metres; the square beside the table from which objects are picked up."""
 WATCHED = 2.0
 """Seconds for which everything must stand once the hand has left."""
+WATCH_STEP = 0.1
+"""Seconds between two looks at it meanwhile."""
 _STAND_GAP = 0.01
 _STAND_HALF_HEIGHT = 0.01
 _STAND_BEFORE = 0.1
@@ -153,8 +155,8 @@ class Referee:
         """
         limits = StabilityConfig()
         start = self.execution.poses()[self.target]
-        for _ in range(round(WATCHED / 0.1)):
-            self.execution.wait(0.1, Phase.FREE)
+        for _ in range(round(WATCHED / WATCH_STEP)):
+            self.execution.wait(WATCH_STEP, Phase.FREE)
             shift, turn = motion_between(self.execution.poses()[self.target], start)
             if has_moved(shift, turn, limits):
                 raise Failed(Outcome.UNSTABLE, told_motion(float(shift), float(turn)))

@@ -308,8 +308,8 @@ _ALL = (
     ),
     BankFormat(
         "playground",
-        "MuJoCo Playground 0.2: import cluttergen_playground, cluttergen_playground.register('ClutterPick'), "
-        "then mujoco_playground.registry.load('ClutterPick').",
+        "MuJoCo Playground 0.2, beside cluttergen_jax[robot]: import cluttergen_playground, "
+        "cluttergen_playground.register('ClutterPick'), then mujoco_playground.registry.load('ClutterPick').",
         "cluttergen_playground.py",
     ),
     BankFormat(
