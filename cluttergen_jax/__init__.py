@@ -69,7 +69,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets.pool import find_pool as load_pool
     from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.assets.support_file import find_support as load_support
-    from cluttergen_jax.downstream.rearrange.api import rearrange
+    from cluttergen_jax.downstream.environments.api import rearrange
     from cluttergen_jax.evaluation.api import evaluate
     from cluttergen_jax.generation import load_bank, make_sampler, stream_bank
     from cluttergen_jax.generation.environments import make_env
@@ -160,7 +160,7 @@ _FORMER = {
     "read_robot": "downstream.robot.description:read_robot",
     "remove_pool": "assets.pool:remove_pool",
     "robot_grasps": "downstream.robot.api:robot_grasps",
-    "robot_place": "downstream.robot.api:robot_place",
+    "robot_place": "downstream.environments.api:robot_place",
     "scripted_actions": "downstream.environments.api:scripted_actions",
     "set_pose": "importing.poses:set_pose",
     "stats_of": "scene.bank.stats:stats_of",
@@ -203,7 +203,7 @@ __getattr__, __dir__ = name_space(
         "pools": "pools",
         "read_bank": "scene.bank:read_bank",
         "read_scenes": "scene.bank.scene:read_scenes",
-        "rearrange": "downstream.rearrange.api:rearrange",
+        "rearrange": "downstream.environments.api:rearrange",
         "register_format": "scene.export:register_format",
         "render": "api.render:render",
         "repair": "api.generate:repair",

@@ -7,9 +7,9 @@ from functools import partial
 from tyro.conf import Positional
 
 from cluttergen_jax.cli.options import Group, Options, command
+from cluttergen_jax.downstream.environments.api import rearrange, robot_place, robot_record
 from cluttergen_jax.downstream.placer.api import placer_data, placer_eval, placer_train
-from cluttergen_jax.downstream.rearrange.api import rearrange
-from cluttergen_jax.downstream.robot.api import grasp_dataset, robot_grasps, robot_place
+from cluttergen_jax.downstream.robot.api import grasp_dataset, robot_grasps
 from cluttergen_jax.downstream.words import RobotObserver
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.spec import in_groups
@@ -91,6 +91,15 @@ def move_objects(options: Options) -> None:
     print(options.call(robot_place))
 
 
+@command(robot_record, bank=Positional[str], robot=str)
+def record_demonstrations(options: Options) -> None:
+    """Record demonstrations in an environment, for LeRobot or robomimic (extras `robot`, `gym`).
+
+    Example: `cluttergen robot record bank --num-episodes 50 --out demos`
+    """
+    print(options.call(robot_record))
+
+
 @command(grasp_dataset, bank=Positional[str], robot=str)
 def make_grasp_dataset(options: Options) -> None:
     """Make a dataset of labelled grasps in the scenes of a bank, failures kept (extra `robot`).
@@ -101,11 +110,16 @@ def make_grasp_dataset(options: Options) -> None:
 
 
 run_robot = Group(
-    """A robot arm in simulation: `robot grasps`, `robot place` and `robot dataset`.
+    """A robot arm in simulation: `robot grasps`, `robot place`, `robot record` and `robot dataset`.
 
     Example: `cluttergen robot grasps household`
     """,
-    {"grasps": find_grasps, "place": move_objects, "dataset": make_grasp_dataset},
+    {
+        "grasps": find_grasps,
+        "place": move_objects,
+        "record": record_demonstrations,
+        "dataset": make_grasp_dataset,
+    },
 )
 
 

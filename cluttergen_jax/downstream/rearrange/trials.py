@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from cluttergen_jax.downstream.rearrange import episode, judge, layouts, observe
 from cluttergen_jax.downstream.rearrange.episode import rearrange_episode
 from cluttergen_jax.downstream.rearrange.layout_views import save_sheets
 from cluttergen_jax.downstream.rearrange.observe import Observer, TrueObserver
-from cluttergen_jax.downstream.rearrange.starts import OwnScenes, Starts, task_words
+from cluttergen_jax.downstream.rearrange.starts import OwnScenes, Starts, is_bank, task_words
 from cluttergen_jax.downstream.rearrange.task import (
     Chooser,
     RearrangeOptions,
@@ -26,21 +27,21 @@ from cluttergen_jax.downstream.rearrange.task import (
 )
 from cluttergen_jax.downstream.robot import (
     EPISODES,
+    DemonstrationRecorder,
     Endings,
     GraspSets,
     GraspSource,
     PathPlanner,
-    RecordAsked,
     RobotDescription,
     Trace,
     episode_seed,
     find_robot,
     make_episodes,
-    open_recorder,
     planner_hash,
     planner_recipe,
     success_of,
 )
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation import versions
 from cluttergen_jax.kept_folder import hold_out
 from cluttergen_jax.own_parts import is_own, part_label
@@ -131,7 +132,8 @@ def run_rearrangements(
     planner: PathPlanner | None = None,
     own: OwnScenes | None = None,
     told_own: Mapping[str, object] | None = None,
-    record: RecordAsked | None = None,
+    record: Callable[[str, RobotDescription, Mapping[str, Any]], DemonstrationRecorder]
+    | None = None,
     robot: RobotDescription | None = None,
 ) -> Rearrangements:
     """Runs episodes of a setting.
@@ -143,7 +145,7 @@ def run_rearrangements(
       ask: a person, who chooses the layouts.
       films: film the first episode of each outcome in the folder `films` of `out` (`Films`).
       own_grasps, planner, own: a user's; told_own: what a recipe says of `own`.
-      record: where and how every episode is recorded.
+      record: opens what records every episode, of the bank, the robot and the recipe.
       sheets: draw the layouts of each episode as `out`/layouts-NUMBER.png (`layout_sheet`).
       robot: that does it; the Panda if not given.
 
@@ -182,21 +184,33 @@ def run_rearrangements(
         file.note_grasps({each.name: each.digest for each in task.grasps})
         return task
 
+    goals = "" if own is None else own.goals
+
+    def with_words(row: RearrangeResult, trace: Trace | None) -> RearrangeResult:
+        if trace is not None and goals and not is_bank(goals):
+            trace.words = task_words(goals)(row)
+        return row
+
     def again(index: int, trace: Trace) -> RearrangeResult:
         # What a person chose is not asked for again.
         given = options if ask is None else replace(options, layout=rows[index].layout)
-        return rearrange_episode(task_of(index), given, observer, trace)
+        return with_words(rearrange_episode(task_of(index), given, observer, trace), trace)
 
     def run(index: int, trace: Trace | None = None) -> RearrangeResult:
-        return rearrange_episode(task_of(index), options, observer, trace, ask)
+        return with_words(rearrange_episode(task_of(index), options, observer, trace, ask), trace)
 
     def note(rows: list[RearrangeResult]) -> str:
         return f"{sum(row.is_success for row in rows)} of {len(rows)} good, the last: {rows[-1].outcome}"
 
     recorder = None
     if record is not None:
-        words = task_words("" if own is None else own.goals)
-        recorder = open_recorder(record, recipe, seed, words)
+        if own is None or own.bank is None:
+            raise ConfigError(
+                "`record` of scenes that are in no bank, in which no environment could begin again",
+                "the scenes of a bank",
+                "cluttergen generate --pool household --num-objects 5 --out bank, then `bank`",
+            )
+        recorder = record(str(own.bank.path), robot, recipe)
     make_episodes(file, rows, number, run, setting.name, note, out, films, recorder, again)
     if out is not None and sheets:
         save_sheets(rows, task_of, options, observer, out)
