@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial, wraps
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast
 
@@ -12,7 +12,7 @@ from cluttergen_jax.config import check_range
 from cluttergen_jax.downstream.rearrange import api as rearrange_api
 from cluttergen_jax.downstream.robot import api as robot_api
 from cluttergen_jax.downstream.words import RecordFormat, RobotEnvTask, check_choice
-from cluttergen_jax.errors import ConfigError, MissingExtraError, closest
+from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.files import check_folder
 from cluttergen_jax.numerics import with_own_settings
 
@@ -79,7 +79,9 @@ def make_robot_env(
         version, or its bank or robot is gone or has changed.
       MissingExtraError: an extra is not installed.
     """
-    given = {
+    from cluttergen_jax.downstream.environments.build import build_env
+
+    given: dict[str, Any] = {
         "action": action,
         "cameras": cameras,
         "image_size": image_size,
@@ -95,6 +97,7 @@ def make_robot_env(
 
 def _env_of(recording: Recording | str | Path, given: dict[str, Any]) -> RobotEnv:
     """The environment of a recording. given: the other arguments of `make_robot_env`."""
+    from cluttergen_jax.downstream.environments.build import build_env
     from cluttergen_jax.downstream.environments.recordings import Recording, read_recording
 
     usual = {
@@ -120,72 +123,6 @@ def _env_of(recording: Recording | str | Path, given: dict[str, Any]) -> RobotEn
     )
     found.check(env)
     return env
-
-
-def build_env(
-    task: str,
-    bank: BankArrays | str | Path,
-    robot: RobotLike,
-    *,
-    action: RobotAction = "joint",
-    cameras: Sequence[str] = (),
-    image_size: tuple[int, int] = (240, 320),
-    physics: RobotPhysics = "accurate",
-    randomization: RandomizationConfig | None = None,
-    control_hz: float = 20.0,
-    max_seconds: float | None = None,
-    recording: Recording | None = None,
-    draws_scenes: bool = True,
-) -> RobotEnv:
-    """As `make_robot_env`; draws_scenes: whether there has to be a scene that a reset can draw."""
-    from cluttergen_jax.downstream.environments.tasks import TASKS
-    from cluttergen_jax.downstream.environments.world import support_of, with_robot
-    from cluttergen_jax.generation import BankArrays, load_bank
-
-    try:
-        from cluttergen_jax.downstream.environments.env import RobotEnv, check_settings
-    except ModuleNotFoundError as error:
-        if error.name != "gymnasium":
-            raise
-        raise MissingExtraError("gym", "make_robot_env") from error
-    if task not in TASKS:
-        raise ConfigError(
-            f"task = {task!r}", ", ".join(TASKS), "task='place'", closest(task, TASKS)
-        )
-    check_settings(action, cameras, image_size, control_hz, max_seconds)
-    if not isinstance(bank, (BankArrays, str, Path)):
-        raise ConfigError(
-            f"a bank of type {type(bank).__name__}", "a folder, or that of cg.load_bank"
-        )
-    kind = TASKS[task]
-    found = bank if isinstance(bank, BankArrays) else load_bank(bank)
-    world = with_robot(
-        found,
-        robot,
-        physics=physics,
-        stands=kind.stands(support_of(found)),
-        randomization=randomization,
-    )
-    recipe = partial(
-        make_robot_env,
-        task,
-        bank,
-        robot,
-        action=action,
-        cameras=tuple(cameras),
-        image_size=image_size,
-        physics=physics,
-        randomization=randomization,
-        control_hz=control_hz,
-        max_seconds=max_seconds,
-    )
-    if recording is not None:
-        # Whoever unpickles it begins episodes, too.
-        recipe = partial(
-            make_robot_env, bank=bank, recording=recording, cameras=cameras, image_size=image_size
-        )
-    settings = (action, tuple(cameras), image_size, control_hz, max_seconds)
-    return RobotEnv(world, kind, *settings, recipe, recording, draws_scenes)
 
 
 def scripted_actions(env: RobotEnv, seed: int = 0) -> Iterator[np.ndarray]:

@@ -6,19 +6,21 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 
-from cluttergen_jax.downstream.environments.api import build_env
-from cluttergen_jax.downstream.environments.env import RobotEnv
+from cluttergen_jax.downstream.environments.build import build_env
 from cluttergen_jax.downstream.environments.recordings import SavedStart, environment_of
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.recorder import FORMATS, DemonstrationRecorder, RecordFolder
 from cluttergen_jax.downstream.robot.recording import EpisodeRecording
 from cluttergen_jax.downstream.words import RecordFormat
+
+if TYPE_CHECKING:
+    from cluttergen_jax.downstream.environments.env import RobotEnv
 
 WAIT = 10
 """Steps of control after the last motion."""

@@ -300,8 +300,6 @@ def read_recording(path: str | Path) -> Recording:
             if not file.is_file():
                 break
             rows += pq.read_table(file, columns=["start", "outcome"]).to_pylist()
-    if not rows:
-        raise BankError(f"{place} has no episodes yet", "one or more", "rerun what records them")
     starts, outcomes = (tuple(row[name] for row in rows) for name in ("start", "outcome"))
     return Recording(place, "lerobot", environment, starts, outcomes)
 
