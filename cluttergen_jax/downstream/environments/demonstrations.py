@@ -119,8 +119,8 @@ class TraceRecording:
 def _play(env: RobotEnv, number: int, trace: Trace) -> EpisodeRecording | None:
     """An episode of a planner, done again in the environment."""
     scene = trace.scene
-    assert scene.origin is not None
-    index = scene.origin.index
+    # A bank of starting scenes has that of each episode.
+    index = number if scene.origin is None else scene.origin.index
     found = env.world.scene(env.world.reset(0, index=index))
     goals = trace.goals
     if goals is None:

@@ -218,7 +218,8 @@ class Recording:
         """
         place = str(self.environment["bank"])
         folder = self.path if self.path.is_dir() else self.path.parent
-        for each in (folder / place, Path(place)):
+        # It may have moved together with the recording.
+        for each in (Path(place), folder / Path(place).name):
             if each.is_dir():
                 return str(each)
         if Path(place).is_absolute() or place.count("/") != 1:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -209,7 +208,7 @@ def rearrange(
             planner=planner,
             own=found,
             told_own=told,
-            record=recorded and partial(recorded.open, "rearrange"),
+            record=recorded,
         )
 
 

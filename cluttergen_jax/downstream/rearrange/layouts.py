@@ -56,6 +56,7 @@ class SceneDraw:
       relations: that each scene fulfils (`placement.relations`); objects of their roles are told by number.
 
     Attributes:
+      problem: that is drawn of.
       names, objects: K of the pool or bank. support: with the region of that.
       area: where objects may be: the middle of the support's region, as far as the arm reaches.
     """
@@ -91,6 +92,7 @@ class SceneDraw:
             problem = sampler.problem
             steps = sampler.steps
         world = problem.world
+        self.problem = problem
         self.names = world.names
         self.objects = world.objects
         self.support: SupportAsset = world.support

@@ -40,6 +40,7 @@ from cluttergen_jax.downstream.robot import (
     RobotDescription,
 )
 from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.generation import write_scenes
 from cluttergen_jax.geometry import rotate_in_plane
 from cluttergen_jax.placement import (
     KINDS,
@@ -430,6 +431,12 @@ class Starts:
                     return task
         raise ConfigError(
             f"no starting scene of {setting.name!r}", "smaller objects", "another pool"
+        )
+
+    def write_bank(self, path: Path, scenes: Sequence[Scene], seed: int) -> Bank:
+        """A bank of starting scenes, in which environments can begin."""
+        return write_scenes(
+            path, self._place.problem, scenes, f"starts of {self.setting.name}", seed
         )
 
     def _choose(self, rng: np.random.Generator) -> list[int]:

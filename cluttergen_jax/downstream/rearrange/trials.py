@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -27,11 +26,12 @@ from cluttergen_jax.downstream.rearrange.task import (
 )
 from cluttergen_jax.downstream.robot import (
     EPISODES,
-    DemonstrationRecorder,
+    STARTS,
     Endings,
     GraspSets,
     GraspSource,
     PathPlanner,
+    RecordAsked,
     RobotDescription,
     Trace,
     episode_seed,
@@ -41,7 +41,6 @@ from cluttergen_jax.downstream.robot import (
     planner_recipe,
     success_of,
 )
-from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation import versions
 from cluttergen_jax.kept_folder import hold_out
 from cluttergen_jax.own_parts import is_own, part_label
@@ -132,8 +131,7 @@ def run_rearrangements(
     planner: PathPlanner | None = None,
     own: OwnScenes | None = None,
     told_own: Mapping[str, object] | None = None,
-    record: Callable[[str, RobotDescription, Mapping[str, Any]], DemonstrationRecorder]
-    | None = None,
+    record: RecordAsked | None = None,
     robot: RobotDescription | None = None,
 ) -> Rearrangements:
     """Runs episodes of a setting.
@@ -145,7 +143,7 @@ def run_rearrangements(
       ask: a person, who chooses the layouts.
       films: film the first episode of each outcome in the folder `films` of `out` (`Films`).
       own_grasps, planner, own: a user's; told_own: what a recipe says of `own`.
-      record: opens what records every episode, of the bank, the robot and the recipe.
+      record: where and how every episode is recorded; scenes that are in no bank are written beside it.
       sheets: draw the layouts of each episode as `out`/layouts-NUMBER.png (`layout_sheet`).
       robot: that does it; the Panda if not given.
 
@@ -179,6 +177,7 @@ def run_rearrangements(
     # Where nothing is left to be done it is not made.
     starts = cache(lambda: Starts(setting, pool, num_threads, own_grasps, planner, own, robot))
 
+    @cache
     def task_of(index: int) -> RearrangeProblem:
         task = starts()(episode_seed(seed, index), index)
         file.note_grasps({each.name: each.digest for each in task.grasps})
@@ -204,13 +203,11 @@ def run_rearrangements(
 
     recorder = None
     if record is not None:
-        if own is None or own.bank is None:
-            raise ConfigError(
-                "`record` of scenes that are in no bank, in which no environment could begin again",
-                "the scenes of a bank",
-                "cluttergen generate --pool household --num-objects 5 --out bank, then `bank`",
-            )
-        recorder = record(str(own.bank.path), robot, recipe)
+        bank = None if own is None else own.bank
+        if bank is None:
+            scenes = [task_of(index).scene for index in range(number)]
+            bank = starts().write_bank(record.folder / STARTS, scenes, seed)
+        recorder = record.open("rearrange", str(bank.path), robot, recipe)
     make_episodes(file, rows, number, run, setting.name, note, out, films, recorder, again)
     if out is not None and sheets:
         save_sheets(rows, task_of, options, observer, out)

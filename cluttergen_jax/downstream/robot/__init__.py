@@ -28,7 +28,7 @@ if TYPE_CHECKING:
         told_motion,
     )
     from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
-    from cluttergen_jax.downstream.robot.recorder import DemonstrationRecorder, RecordAsked
+    from cluttergen_jax.downstream.robot.recorder import STARTS, DemonstrationRecorder, RecordAsked
     from cluttergen_jax.downstream.robot.sensing_arm import ArmSilhouette
     from cluttergen_jax.downstream.robot.trials import (
         EPISODES,
@@ -65,7 +65,7 @@ __getattr__, __all__ = offer(
             "told_motion",
         ),
         "protocols": ("GraspSource", "PathPlanner"),
-        "recorder": ("DemonstrationRecorder", "RecordAsked"),
+        "recorder": ("DemonstrationRecorder", "RecordAsked", "STARTS"),
         "sensing_arm": ("ArmSilhouette",),
         "trials": (
             "EPISODES",

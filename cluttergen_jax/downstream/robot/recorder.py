@@ -27,11 +27,14 @@ from cluttergen_jax.rendering import find_ffmpeg, save_film
 from cluttergen_jax.stores import BlockStore
 
 Row = TypeVar("Row", bound=EpisodeRow)
+STARTS = "starts"
 STORE = BlockStore(
     "recordings",
     "recording.json",
     "recordings of episodes",
     "cluttergen robot place --record",
+    # A bank of starting scenes, where these are in no other.
+    (STARTS,),
     argument="record",
 )
 FPS = 20
@@ -481,7 +484,10 @@ class DemonstrationRecorder:
 
 
 class RecordAsked(Protocol):
-    """Opens the recorder that a command was asked for, once its scenes are known."""
+    """Opens the recorder that a command was asked for, once its scenes are known; folder: where."""
+
+    @property
+    def folder(self) -> Path: ...
 
     def open(
         self, task: str, bank: str, robot: RobotDescription, recipe: Mapping[str, Any]
