@@ -13,6 +13,7 @@ import numpy as np
 
 from cluttergen_jax.downstream.environments.build import build_env
 from cluttergen_jax.downstream.environments.recordings import SavedStart, environment_of
+from cluttergen_jax.downstream.environments.scripted import WAIT
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.recorder import FORMATS, DemonstrationRecorder, RecordFolder
@@ -21,9 +22,6 @@ from cluttergen_jax.downstream.words import RecordFormat
 
 if TYPE_CHECKING:
     from cluttergen_jax.downstream.environments.env import RobotEnv
-
-WAIT = 10
-"""Steps of control after the last motion."""
 
 
 def capture(

@@ -448,7 +448,10 @@ class RobotEnv(gymnasium.Env):
         return self.action_to(ctrl[arm.ctrl], float(ctrl[arm.grip]))
 
     def action_to(self, joints: np.ndarray, grip: float) -> np.ndarray:
-        """As `action_of`, of set-points f64[n] of the arm and one of the gripper."""
+        """As `action_of`, of set-points f64[n] of the arm and one of the gripper.
+
+        Changes that speed limits do not allow are cut to these and counted in `info["num_limited"]`.
+        """
         if self._action == "tool" or self.execution is None:
             raise ConfigError(
                 "set-points as an action of the tool", "action='joint' or 'joint_delta'"
@@ -456,7 +459,9 @@ class RobotEnv(gymnasium.Env):
         if self._action == "joint":
             share = 2 * (joints - self._low) / (self._high - self._low) - 1
         else:
-            share = (joints - self.execution.set_point) / self._most
+            asked = (joints - self.execution.set_point) / self._most
+            share = np.clip(asked, -1, 1)
+            self._num_limited += int((np.abs(asked - share) > _REACHED).sum())
         action = np.array([*share, self._share.share_of(grip)])
         if (np.abs(action) > 1 + _REACHED).any():
             raise ConfigError(
