@@ -69,7 +69,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.assets.pool import find_pool as load_pool
     from cluttergen_jax.assets.support import Rectangle
     from cluttergen_jax.assets.support_file import find_support as load_support
-    from cluttergen_jax.downstream.environments.api import rearrange
+    from cluttergen_jax.downstream.rearrange.api import rearrange
     from cluttergen_jax.evaluation.api import evaluate
     from cluttergen_jax.generation import load_bank, make_sampler, stream_bank
     from cluttergen_jax.generation.environments import make_env

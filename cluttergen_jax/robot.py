@@ -6,7 +6,6 @@ from cluttergen_jax.lazy import name_space
 
 if TYPE_CHECKING:
     from cluttergen_jax.downstream.environments.api import make_robot_env as make_env
-    from cluttergen_jax.downstream.environments.api import robot_place as place
     from cluttergen_jax.downstream.environments.api import robot_record as record
     from cluttergen_jax.downstream.environments.api import scripted_actions
     from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
@@ -14,6 +13,9 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.environments.world import RobotWorld, with_robot
     from cluttergen_jax.downstream.robot.api import grasp_dataset as dataset
     from cluttergen_jax.downstream.robot.api import robot_grasps as grasps
+
+    # The same function but for what `record` is handed on as.
+    from cluttergen_jax.downstream.robot.api import robot_place as place
     from cluttergen_jax.downstream.robot.description import (
         RobotDescription,
         list_robots,

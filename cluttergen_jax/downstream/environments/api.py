@@ -171,7 +171,7 @@ def robot_record(
     Args:
       bank: the bank's folder, or OWNER/NAME on a hub; each episode draws a scene of it.
       out: the folder.
-      task: place, rearrange or grasp, as of `make_env`.
+      task: place an object from a stand, grasp one, or rearrange all, as of `make_env`.
       robot: which: a name of `cluttergen list`, or the YAML file of one of your own.
       num_episodes: number of episodes.
       action: joint (set-points), or joint_delta (their changes).

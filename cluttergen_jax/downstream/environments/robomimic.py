@@ -19,7 +19,7 @@ from cluttergen_jax.downstream.environments.recordings import Recording, check_e
 from cluttergen_jax.downstream.robot.recorder import GYM_NAME
 
 
-class ClutterRobot(gym.Env):  # type: ignore[misc]
+class ClutterRobot(gym.Env):
     """See the module.
 
     Args:
@@ -37,8 +37,8 @@ class ClutterRobot(gym.Env):  # type: ignore[misc]
         place = Path("env_args")
         told = check_environment(dict(environment), place)
         recording = Recording(place, "robomimic", told, (), ())
-        where = {} if bank is None else {"bank": bank}
-        self.env = make_robot_env(recording=recording, **where)
+        where = recording.bank if bank is None else bank
+        self.env = make_robot_env(recording=recording, bank=where)
         # robomimic's wrapper passes no pictures on.
         self.env.is_drawing = False
         self.sim = _Simulation(self)
