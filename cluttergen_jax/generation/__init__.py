@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from cluttergen_jax.generation.arguments import required_recipe
     from cluttergen_jax.generation.bank import BankArrays, load_bank, stream_bank
     from cluttergen_jax.generation.bank_world import BankAttachment, BankWorld, WorldState
-    from cluttergen_jax.generation.given import write_scenes
     from cluttergen_jax.generation.sampler import Sampler, make_sampler
     from cluttergen_jax.generation.sources.replay import setup_of
 
@@ -22,7 +21,6 @@ __getattr__, __all__ = offer(
         "arguments": ("required_recipe",),
         "bank": ("BankArrays", "load_bank", "stream_bank"),
         "bank_world": ("BankAttachment", "BankWorld", "WorldState"),
-        "given": ("write_scenes",),
         "sampler": ("Sampler", "make_sampler"),
         "sources.replay": ("setup_of",),
     },

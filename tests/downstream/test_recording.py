@@ -182,7 +182,7 @@ def test_a_recording_of_another_version_is_refused(tmp_path, changed, told):
 
 
 def test_what_is_no_recording_is_refused(dataset, tmp_path):
-    with pytest.raises(BankError, match="holds no recordings of episodes"):
+    with pytest.raises(BankError, match="holds no recordings"):
         cg.robot.read_recording(tmp_path)
     (tmp_path / "demo.hdf5").write_bytes(b"no")
     with pytest.raises(BankError, match="damaged"):

@@ -3,6 +3,7 @@
 import os
 import pickle
 import shutil
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ pytest.importorskip("gymnasium", reason="needs the extra gym")
 import cluttergen_jax as cg
 from cluttergen_jax.downstream.environments import scripted
 from cluttergen_jax.downstream.environments.demonstrations import capture, open_folder
+from cluttergen_jax.downstream.words import RobotCamera
 from cluttergen_jax.errors import BankError, ConfigError
 from tests.downstream.test_environments import grasps_from_above
 from tests.downstream.test_recording import check_as_robomimic
@@ -100,6 +102,9 @@ def test_an_episode_begins_again_and_goes_the_same_way(env, tmp_path, form):
 
 def test_names_number_and_units_are_those_of_the_contract(env):
     seen, _ = env.reset(seed=0)
+    model = env.world.model
+    cameras = [model.camera(number).name for number in range(model.ncam)]
+    assert {each.removeprefix("panda/") for each in cameras} == set(get_args(RobotCamera))
     assert len(env.state_names) == seen["agent_pos"].size == len(set(env.state_names))
     assert len(env.object_names) == seen["environment_state"].size
     assert len(env.action_names) == env.action_space.shape[0]

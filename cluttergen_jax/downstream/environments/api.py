@@ -6,12 +6,12 @@ import inspect
 from collections.abc import Callable, Iterator, Sequence
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, get_args
 
 from cluttergen_jax.config import check_range
 from cluttergen_jax.downstream.rearrange import api as rearrange_api
 from cluttergen_jax.downstream.robot import api as robot_api
-from cluttergen_jax.downstream.words import RecordFormat, RobotEnvTask, check_choice
+from cluttergen_jax.downstream.words import RecordFormat, RobotCamera, RobotEnvTask, check_choice
 from cluttergen_jax.errors import ConfigError, closest
 from cluttergen_jax.files import check_folder
 from cluttergen_jax.numerics import with_own_settings
@@ -257,11 +257,8 @@ def _recorded(function: Result) -> Result:
 
 def _recorder(folder: Any, form: RecordFormat, cameras: Sequence[str | Path]) -> Any:
     """What records into a folder, None where there is none (ConfigError: no such format or camera)."""
-    from cluttergen_jax.downstream.environments.world import HAND_CAMERA
-    from cluttergen_jax.scene import CAMERAS as FIXED
-
     check_choice("record_format", form, RecordFormat)
-    known = (*FIXED, HAND_CAMERA)
+    known = get_args(RobotCamera)
     if isinstance(cameras, str | Path):
         raise ConfigError(
             f"record_cameras = {cameras!r}", "a sequence of names", f"({str(cameras)!r},)"

@@ -96,7 +96,9 @@ class SavedStart:
         if sorted(scene.names) != sorted(self.names):
             raise _other_scene(self)
         order = [self.names.index(name) for name in scene.names]
-        placed = replace(scene, poses=self.poses[order].copy())
+        placed = replace(scene, poses=self.poses[order])
+        # To the last bit: a quaternion of unit length that is divided by its own changes in that.
+        placed.poses[:] = self.poses[order]
         target = scene.names.index(self.target)
         return state, EpisodeStart(placed, target, self.goals[order].copy())
 

@@ -40,7 +40,6 @@ from cluttergen_jax.downstream.robot import (
     RobotDescription,
 )
 from cluttergen_jax.errors import BankError, ConfigError
-from cluttergen_jax.generation import write_scenes
 from cluttergen_jax.geometry import rotate_in_plane
 from cluttergen_jax.placement import (
     KINDS,
@@ -435,9 +434,7 @@ class Starts:
 
     def write_bank(self, path: Path, scenes: Sequence[Scene], seed: int) -> Bank:
         """A bank of starting scenes, in which environments can begin."""
-        return write_scenes(
-            path, self._place.problem, scenes, f"starts of {self.setting.name}", seed
-        )
+        return self._place.write_bank(path, scenes, f"starts of {self.setting.name}", seed)
 
     def _choose(self, rng: np.random.Generator) -> list[int]:
         """Objects of the pool at random; such as the goals are for, if there are goals."""

@@ -32,7 +32,7 @@ STORE = BlockStore(
     "recordings",
     "recording.json",
     "recordings of episodes",
-    "cluttergen robot place --record",
+    "cluttergen robot record",
     # A bank of starting scenes, where these are in no other.
     (STARTS,),
     argument="record",
