@@ -124,7 +124,8 @@ def test_names_number_and_units_are_those_of_the_contract(env):
 def test_what_an_action_asks_for_beyond_the_box_or_the_speed_limits_is_counted(env):
     env.reset(seed=0)
     still = env.action_of(env.execution.data.ctrl)
-    for action, told in ((still, (0, 0)), (still + [0] * 7 + [0.5], (1, 0))):
+    wider = still + np.eye(8)[7] / 2
+    for action, told in ((still, (0, 0)), (wider, (1, 0))):
         *_, info = env.step(action)
         assert (info["num_outside"], info["num_limited"]) == told
     far = still.copy()
