@@ -6,13 +6,17 @@ from cluttergen_jax.lazy import name_space
 
 if TYPE_CHECKING:
     from cluttergen_jax.downstream.environments.api import make_robot_env as make_env
+    from cluttergen_jax.downstream.environments.api import robot_record as record
     from cluttergen_jax.downstream.environments.api import scripted_actions
     from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
+    from cluttergen_jax.downstream.environments.recordings import Recording, read_recording
     from cluttergen_jax.downstream.environments.world import RobotWorld, with_robot
     from cluttergen_jax.downstream.robot.api import clear_clutter
     from cluttergen_jax.downstream.robot.api import grasp_dataset as dataset
     from cluttergen_jax.downstream.robot.api import robot_check as check
     from cluttergen_jax.downstream.robot.api import robot_grasps as grasps
+
+    # The same function but for what `record` is handed on as.
     from cluttergen_jax.downstream.robot.api import robot_place as place
     from cluttergen_jax.downstream.robot.description import (
         RobotDescription,
@@ -23,6 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "RandomizationConfig",
+    "Recording",
     "RobotDescription",
     "RobotWorld",
     "check",
@@ -32,7 +37,9 @@ __all__ = [
     "list_robots",
     "make_env",
     "place",
+    "read_recording",
     "read_robot",
+    "record",
     "scripted_actions",
     "set_pads",
     "with_robot",
@@ -42,6 +49,7 @@ __getattr__, __dir__ = name_space(
     __name__,
     {
         "RandomizationConfig": "downstream.environments.randomization:RandomizationConfig",
+        "Recording": "downstream.environments.recordings:Recording",
         "RobotDescription": "downstream.robot.description:RobotDescription",
         "RobotWorld": "downstream.environments.world:RobotWorld",
         "check": "downstream.robot.api:robot_check",
@@ -50,8 +58,10 @@ __getattr__, __dir__ = name_space(
         "grasps": "downstream.robot.api:robot_grasps",
         "list_robots": "downstream.robot.description:list_robots",
         "make_env": "downstream.environments.api:make_robot_env",
-        "place": "downstream.robot.api:robot_place",
+        "place": "downstream.environments.api:robot_place",
+        "read_recording": "downstream.environments.recordings:read_recording",
         "read_robot": "downstream.robot.description:read_robot",
+        "record": "downstream.environments.api:robot_record",
         "scripted_actions": "downstream.environments.api:scripted_actions",
         "set_pads": "downstream.robot.grasping.pads:set_pads",
         "with_robot": "downstream.environments.world:with_robot",

@@ -7,14 +7,13 @@ from functools import partial
 from tyro.conf import Positional
 
 from cluttergen_jax.cli.options import Group, Options, command
+from cluttergen_jax.downstream.environments.api import rearrange, robot_place, robot_record
 from cluttergen_jax.downstream.placer.api import placer_data, placer_eval, placer_train
-from cluttergen_jax.downstream.rearrange.api import rearrange
 from cluttergen_jax.downstream.robot.api import (
     clear_clutter,
     grasp_dataset,
     robot_check,
     robot_grasps,
-    robot_place,
 )
 from cluttergen_jax.downstream.words import PadSource, RobotObserver
 from cluttergen_jax.errors import ConfigError
@@ -97,6 +96,15 @@ def move_objects(options: Options) -> None:
     print(options.call(robot_place))
 
 
+@command(robot_record, bank=Positional[str], robot=str)
+def record_demonstrations(options: Options) -> None:
+    """Record demonstrations in an environment, for LeRobot or robomimic (extras `robot`, `gym`).
+
+    Example: `cluttergen robot record bank --num-episodes 50 --out demos`
+    """
+    print(options.call(robot_record))
+
+
 @command(grasp_dataset, bank=Positional[str], robot=str)
 def make_grasp_dataset(options: Options) -> None:
     """Make a dataset of labelled grasps in the scenes of a bank, failures kept (extra `robot`).
@@ -133,13 +141,14 @@ def clear_piles(options: Options) -> None:
 
 
 run_robot = Group(
-    """A robot arm in simulation: grasps, episodes, data of grasps, rounds in clutter; checks of robots.
+    """A robot arm in simulation: grasps, episodes, recordings, grasp data, rounds in clutter, checks.
 
     Example: `cluttergen robot grasps household`
     """,
     {
         "grasps": find_grasps,
         "place": move_objects,
+        "record": record_demonstrations,
         "dataset": make_grasp_dataset,
         "clear": clear_piles,
         "check": try_robot,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -35,7 +35,7 @@ from cluttergen_jax.placement.relations import SIDES, parse_relations
 from cluttergen_jax.placement.rollout import BlockSampler, varying_alike
 from cluttergen_jax.placement.scenes import BLOCK_SIZE, SceneBatch, scene_of
 from cluttergen_jax.placement.shelves import Shelves
-from cluttergen_jax.scene import Origin, Scene
+from cluttergen_jax.scene import Bank, Origin, Scene
 from cluttergen_jax.scene.bank.scene import read_start
 from cluttergen_jax.spec import SceneOptions, SceneSpec, spec_of, takes_spec
 from cluttergen_jax.types import Array, Verdict
@@ -113,6 +113,19 @@ class Sampler:
         recipe = _Recipe(make, *args, **keywords)
         recipe.parts = self._parts()
         return replace(self, recipe=recipe)
+
+    def write_bank(self, path: str | Path, scenes: Sequence[Scene], method: str, seed: int) -> Bank:
+        """Writes scenes of its objects on its support, which stand, as a bank; one with fewer is continued.
+
+        Args:
+          method, seed: what its recipe says of how they were made.
+
+        Raises:
+          BankError: the folder holds something else.
+        """
+        from cluttergen_jax.generation.given import write_scenes
+
+        return write_scenes(path, self.problem, scenes, method, seed)
 
     def reshelve(self, key: Array) -> Sampler:
         """The same sampler with other objects of its pool, drawn with a key. Nothing is compiled anew.

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from functools import partial
+import inspect
+from collections.abc import Callable, Iterator, Sequence
+from functools import wraps
 from importlib.util import find_spec
 from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, get_args
 
 from cluttergen_jax.config import check_range
+from cluttergen_jax.downstream.rearrange import api as rearrange_api
+from cluttergen_jax.downstream.robot import api as robot_api
+from cluttergen_jax.downstream.words import RecordFormat, RobotCamera, RobotEnvTask, check_choice
 from cluttergen_jax.errors import ConfigError, MissingExtraError, closest
+from cluttergen_jax.files import check_folder
 from cluttergen_jax.numerics import with_own_settings
 
 if TYPE_CHECKING:
@@ -19,22 +24,29 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.environments.env import RobotAction, RobotEnv
     from cluttergen_jax.downstream.environments.mjx_env import MjxRobotEnv
     from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
+    from cluttergen_jax.downstream.environments.recordings import Recording
     from cluttergen_jax.downstream.environments.world import RobotPhysics
-    from cluttergen_jax.downstream.robot.description import RobotLike
+    from cluttergen_jax.downstream.robot.description import RobotDescription, RobotLike
     from cluttergen_jax.generation import BankArrays
 
-RobotEnvTask = Literal["place", "rearrange", "grasp"]
 MjxTask = Literal["grasp", "place"]
 MjxImpl = Literal["auto", "warp", "jax"]
 MjxReward = Literal["dense", "sparse"]
 _MOST_ENVS = 1_000_000
+Result = TypeVar("Result", bound=Callable[..., Any])
+CAMERAS = ("front", "hand")
+"""That are recorded and observed if nothing else is said."""
+_BANK = "bank"
+_MOST_EPISODES = 1_000_000
+_MOST_SEED = 999_999
 
 
 def make_robot_env(
     task: RobotEnvTask = "place",
-    bank: BankArrays | str | Path = "bank",
+    bank: BankArrays | str | Path = _BANK,
     robot: RobotLike = "panda",
     *,
+    recording: Recording | str | Path | None = None,
     action: RobotAction = "joint",
     cameras: Sequence[str] = (),
     image_size: tuple[int, int] = (240, 320),
@@ -57,6 +69,9 @@ def make_robot_env(
       bank: a folder, OWNER/NAME on a hub, or what `load_bank` gives.
       robot: a name, the path of a YAML file, or a `RobotDescription`. Its n joints and one gripper make
         actions of n + 1 numbers.
+      recording: the environment that a recording was made in: its folder, robomimic's file, or what
+        `read_recording` gives. `reset(options={"episode": k})` begins its episode k again. What else is given
+        may be `bank`, where that has moved, and `cameras` and `image_size`.
       action: "joint" (set-points), "joint_delta" (their changes) or "tool" (changes of the tool's pose).
       cameras: whose pictures are observed: overhead, front, side and wrist, which stand still, and hand.
       image_size: height and width, pixels.
@@ -67,53 +82,54 @@ def make_robot_env(
 
     Raises:
       ConfigError: a setting is out of range, or no scene of the bank suits the task.
-      BankError: the bank cannot be read, or no scene in it is stable.
+      BankError: the bank cannot be read, or no scene in it is stable; or the recording is of another
+        version, or its bank or robot is gone or has changed.
       MissingExtraError: an extra is not installed.
     """
-    from cluttergen_jax.downstream.environments.tasks import TASKS
-    from cluttergen_jax.downstream.environments.world import support_of, with_robot
-    from cluttergen_jax.generation import BankArrays, load_bank
+    from cluttergen_jax.downstream.environments.build import build_env
 
-    try:
-        from cluttergen_jax.downstream.environments.env import RobotEnv, check_settings
-    except ModuleNotFoundError as error:
-        if error.name != "gymnasium":
-            raise
-        raise MissingExtraError("gym", "make_robot_env") from error
-    if task not in TASKS:
+    given: dict[str, Any] = {
+        "action": action,
+        "cameras": cameras,
+        "image_size": image_size,
+        "physics": physics,
+        "randomization": randomization,
+        "control_hz": control_hz,
+        "max_seconds": max_seconds,
+    }
+    if recording is None:
+        return build_env(task, bank, robot, **given)
+    return _env_of(recording, {"task": task, "bank": bank, "robot": robot, **given})
+
+
+def _env_of(recording: Recording | str | Path, given: dict[str, Any]) -> RobotEnv:
+    """The environment of a recording. given: the other arguments of `make_robot_env`."""
+    from cluttergen_jax.downstream.environments.build import build_env
+    from cluttergen_jax.downstream.environments.recordings import Recording, read_recording
+
+    usual = {
+        name: each.default for name, each in inspect.signature(make_robot_env).parameters.items()
+    }
+    changed = {name: value for name, value in given.items() if value is not usual[name]}
+    changed = {name: value for name, value in changed.items() if value != usual[name]}
+    free = ("bank", "cameras", "image_size")
+    if fixed := [name for name in changed if name not in free]:
         raise ConfigError(
-            f"task = {task!r}", ", ".join(TASKS), "task='place'", closest(task, TASKS)
+            f"{', '.join(fixed)} together with `recording`, which has its own",
+            ", ".join(free),
+            "make_env(recording=...)",
         )
-    check_settings(action, cameras, image_size, control_hz, max_seconds)
-    if not isinstance(bank, (BankArrays, str, Path)):
-        raise ConfigError(
-            f"a bank of type {type(bank).__name__}", "a folder, or that of cg.load_bank"
-        )
-    kind = TASKS[task]
-    found = bank if isinstance(bank, BankArrays) else load_bank(bank)
-    world = with_robot(
-        found,
-        robot,
-        physics=physics,
-        stands=kind.stands(support_of(found)),
-        randomization=randomization,
+    found = recording if isinstance(recording, Recording) else read_recording(recording)
+    bank = changed.pop("bank", None)
+    settings = {**found.settings, **changed}
+    env = build_env(
+        bank=found.bank if bank is None else bank,
+        recording=found,
+        draws_scenes=False,
+        **settings,
     )
-    recipe = partial(
-        make_robot_env,
-        task,
-        bank,
-        robot,
-        action=action,
-        cameras=tuple(cameras),
-        image_size=image_size,
-        physics=physics,
-        randomization=randomization,
-        control_hz=control_hz,
-        max_seconds=max_seconds,
-    )
-    return RobotEnv(
-        world, kind, action, tuple(cameras), image_size, control_hz, max_seconds, recipe
-    )
+    found.check(env)
+    return env
 
 
 @with_own_settings
@@ -261,3 +277,141 @@ def scripted_actions(env: RobotEnv, seed: int = 0) -> Iterator[np.ndarray]:
     from cluttergen_jax.downstream.environments.scripted import plan_actions
 
     return plan_actions(env, seed)
+
+
+@with_own_settings
+def robot_record(
+    bank: str | Path,
+    out: str | Path = "demos",
+    *,
+    task: RobotEnvTask = "place",
+    robot: str | Path | RobotDescription = "panda",
+    num_episodes: int = 50,
+    action: Literal["joint", "joint_delta"] = "joint",
+    cameras: Sequence[str] = CAMERAS,
+    image_size: tuple[int, int] = (240, 320),
+    physics: RobotPhysics = "accurate",
+    record_format: RecordFormat = "lerobot",
+    seed: int = 0,
+) -> Recording:
+    """Records demonstrations: a planner that knows the state, in `make_env` (`cluttergen robot record`).
+
+    Every step holds what the environment observes and the action from -1 to 1 that it is given
+    (docs/contract.md). Failures are kept and marked. The same call continues an interrupted one.
+
+    Args:
+      bank: the bank's folder, or OWNER/NAME on a hub; each episode draws a scene of it.
+      out: the folder.
+      task: place an object from a stand, grasp one, or rearrange all, as of `make_env`.
+      robot: which: a name of `cluttergen list`, or the YAML file of one of your own.
+      num_episodes: number of episodes.
+      action: joint (set-points), or joint_delta (their changes).
+      cameras: whose pictures are kept: overhead, front, side and wrist, which stand still, and hand; none if
+        empty.
+      image_size: height and width, pixels.
+      physics: accurate or learning (`with_robot`).
+      record_format: "lerobot", a LeRobot dataset of version 3.0 (with cameras extra `video`); or "robomimic",
+        HDF5 (extra `record`).
+      seed: of scenes and motions.
+
+    Returns:
+      The recording; printed, it tells what there is. `make_env(recording=...)` makes its environment.
+
+    Raises:
+      ConfigError: a setting is out of range, no scene suits the task, or the robot is none.
+      BankError: the bank cannot be read, or the folder holds something else or recordings of other settings.
+      MissingExtraError: an extra is not installed.
+      RendererError: pictures are asked for, and nothing here can draw.
+    """
+    from cluttergen_jax.downstream.environments.demonstrations import capture, open_folder
+    from cluttergen_jax.downstream.environments.recordings import read_recording
+    from cluttergen_jax.downstream.robot import episode_seed
+    from cluttergen_jax.progress import Progress
+
+    check_folder(out)
+    check_range("num_episodes", num_episodes, 1, _MOST_EPISODES, 50)
+    check_range("seed", seed, 0, _MOST_SEED, 0)
+    check_choice("action", action, Literal["joint", "joint_delta"])
+    check_choice("record_format", record_format, RecordFormat)
+    env = make_robot_env(
+        task, bank, robot, action=action, cameras=cameras, image_size=image_size, physics=physics
+    )
+    _check_drawing(cameras)
+    folder = open_folder(env, Path(out), record_format, {"seed": seed})
+    try:
+        known = folder.numbers()
+        good = 0
+        with Progress("recording", num_episodes, "episode", kept=len(known)) as progress:
+            for number in range(num_episodes):
+                if number in known:
+                    continue
+                drawn = episode_seed(seed, number)
+                seen, _ = env.reset(seed=drawn)
+                episode = capture(env, number, seen, scripted_actions(env, drawn))
+                assert episode is not None
+                folder.add(episode)
+                good += episode.is_success
+                progress.update(note=f"{good} good, the last: {episode.outcome or 'not over'}")
+    finally:
+        folder.finish()
+        env.close()
+    return read_recording(out)
+
+
+def _check_drawing(cameras: Sequence[str]) -> None:
+    """Refuses pictures where nothing can draw (RendererError)."""
+    from cluttergen_jax.rendering import find_backend
+
+    if cameras:
+        find_backend()
+
+
+def _recorded(function: Result) -> Result:
+    """The same function, whose argument `record` is a folder.
+
+    Planners know no environments, so a recorder is handed to them.
+    """
+    signature = inspect.signature(function)
+
+    @wraps(function)
+    def run(*args: Any, **given: Any) -> Any:
+        bound = signature.bind(*args, **given)
+        bound.apply_defaults()
+        asked = bound.arguments
+        asked["record"] = _recorder(
+            asked["record"], asked["record_format"], asked["record_cameras"]
+        )
+        return function(*bound.args, **bound.kwargs)
+
+    return cast(Result, run)
+
+
+def _recorder(folder: Any, form: RecordFormat, cameras: Sequence[str | Path]) -> Any:
+    """What records into a folder, None where there is none (ConfigError: no such format or camera)."""
+    check_choice("record_format", form, RecordFormat)
+    known = get_args(RobotCamera)
+    if isinstance(cameras, str | Path):
+        raise ConfigError(
+            f"record_cameras = {cameras!r}", "a sequence of names", f"({str(cameras)!r},)"
+        )
+    names = tuple(map(str, cameras))
+    if unknown := [name for name in names if name not in known]:
+        raise ConfigError(
+            f"record_cameras {', '.join(unknown)}",
+            f"cameras of the environment: {', '.join(known)}",
+            "front for third, hand for wrist",
+            closest(unknown[0], known),
+        )
+    if len(set(names)) < len(names):
+        raise ConfigError(f"record_cameras = {list(names)}", "each name once")
+    if folder is None:
+        return None
+    from cluttergen_jax.downstream.environments.demonstrations import TraceRecording
+
+    check_folder(folder, "record")
+    _check_drawing(names)
+    return TraceRecording(Path(folder), form, names)
+
+
+robot_place = _recorded(robot_api.robot_place)
+rearrange = _recorded(rearrange_api.rearrange)

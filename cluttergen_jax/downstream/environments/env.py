@@ -16,6 +16,7 @@ from gymnasium import spaces
 
 from cluttergen_jax.assets import VISUAL_GROUP
 from cluttergen_jax.config import no_such
+from cluttergen_jax.downstream.environments.recordings import Recording, SavedStart
 from cluttergen_jax.downstream.environments.tasks import EpisodeStart, Task, WorldExecution
 from cluttergen_jax.downstream.environments.world import (
     GripShare,
@@ -27,8 +28,8 @@ from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.transforms import pose_of
 from cluttergen_jax.downstream.words import check_choice
-from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.generation import required_recipe
+from cluttergen_jax.errors import ConfigError, range_text
+from cluttergen_jax.generation import WorldState, required_recipe
 from cluttergen_jax.rendering import new_context
 
 
@@ -81,6 +82,8 @@ class Pictures:
         camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         number = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_CAMERA, name)
         camera.fixedcamid = number if number >= 0 else self._model.camera(self._prefix + name).id
+        # Cameras on links, too, are where the joints say now.
+        mujoco.mj_camlight(self._model, data)
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(
             self._model, data, self._option, None, camera, everything, self._scene
@@ -113,13 +116,29 @@ MAX_TURN_SPEED = 2.0
 
 _OBJECT_ROW = 11
 _POSE = 7
+# Of numbers that are told apart, and of shares of a step.
+_ROUNDING = 1e-6
+_REACHED = 1e-3
+_AXES = ("x", "y", "z", "qw", "qx", "qy", "qz")
+_HALF = ("half_x", "half_y", "half_z")
+_TOOL_MOTION = ("move_x", "move_y", "move_z", "turn_x", "turn_y", "turn_z")
 Info = dict[str, Any]
+
+
+def _named(what: str) -> list[str]:
+    """Of the numbers of a pose."""
+    return [f"{what}_{axis}" for axis in _AXES]
+
+
+def _joint_names(limits: np.ndarray) -> list[str]:
+    return [f"joint{k + 1}" for k in range(len(limits))]
 
 
 class RobotEnv(gymnasium.Env):
     """One robot in the scenes of a bank; made by `cg.robot.make_env`, which says what it does.
 
-    Observations, f32, metres and radians, world frame, quaternions wxyz:
+    Observations and actions are those of recordings too (docs/contract.md): f32, metres and radians, world
+    frame, quaternions wxyz. `state_names`, `object_names` and `action_names` name each number.
 
     - `agent_pos` [2 n + 8]: the arm's n joints, their speeds, metres of a finger from the middle,
       T_world_tool.
@@ -135,11 +154,15 @@ class RobotEnv(gymnasium.Env):
     - `tool` [7]: how the tool moves (0.5 m/s) and turns (2 rad/s, rotation vector), in world axes.
 
     Rewards are 1 at success, else 0. `info` has `is_success`, `outcome` ("" before the end, then an
-    `Outcome`, one of rearrangement's, or "time limit"), `detail`, `scene` and `target`.
+    `Outcome`, one of rearrangement's, or "time limit"), `detail`, `scene` and `target`; and of the episode so
+    far, `num_outside`: numbers of actions beyond -1 to 1, which were taken as -1 or 1; `num_limited`: numbers
+    that asked for more than the speed limits allow in a step, which were followed as far as these.
 
     Attributes:
       world: the model and its resets. task: what is to be done. start: how this episode began.
       execution: the simulation.
+      recording: that `reset(options={"episode": k})` begins episodes of; None if it has none.
+      is_drawing: whether pictures are observed; without them a step takes far less time.
     """
 
     metadata: Info = {"render_modes": ["rgb_array"]}  # noqa: RUF012  Gymnasium looks for it on the class.
@@ -154,11 +177,16 @@ class RobotEnv(gymnasium.Env):
         control_hz: float,
         max_seconds: float | None,
         recipe: partial[RobotEnv] | None = None,
+        recording: Recording | None = None,
+        draws_scenes: bool = True,
     ) -> None:
         self.world = world
         self.task_kind = task
         self.recipe = recipe
-        self._places = task.places(world.bank)
+        self.recording = recording
+        self.is_drawing = True
+        # Where episodes are begun again others need not be there to be drawn.
+        self._places = task.places(world.bank) if draws_scenes else None
         prefix = world.description.prefix
         check_cameras(world.model, cameras, prefix)
         self._action = action
@@ -198,14 +226,83 @@ class RobotEnv(gymnasium.Env):
     def __reduce__(self) -> tuple[Any, ...]:
         return required_recipe(self.recipe, "make_robot_env"), ()
 
+    @property
+    def state_names(self) -> list[str]:
+        """Of the numbers of `agent_pos`."""
+        joints = self.action_names[:-1] if self._action != "tool" else _joint_names(self._low)
+        return [*joints, *(f"{name}_speed" for name in joints), "finger_opening", *_named("tool")]
+
+    @property
+    def action_names(self) -> list[str]:
+        """Of the numbers of an action."""
+        moved = _TOOL_MOTION if self._action == "tool" else _joint_names(self._low)
+        return [*moved, "gripper"]
+
+    @property
+    def object_names(self) -> list[str]:
+        """Of the numbers of `environment_state`."""
+        goal = _named("goal") if self.task_kind.has_goals else []
+        each = [*_named("pose"), *_HALF, "is_there", *goal]
+        return [f"object{k + 1}_{name}" for k in range(self._num_slots) for name in each]
+
     def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Any, Info]:
-        """A new episode; options: `scene`, its number in the bank."""
+        """A new episode.
+
+        Args:
+          options: `scene`, its number in the bank; or `episode`, that of a recording's episode, which begins
+            again as it began (`make_env(recording=...)`).
+
+        Raises:
+          ConfigError: there is no such option, scene or episode, or the environment has no recording.
+        """
         super().reset(seed=seed)
-        place = self._place_of(options)
+        scene, episode = self._asked(options)
+        if episode is not None:
+            return self.begin(self._recorded(episode))
+        place = self._place_of(scene)
         index = int(self.world.bank.index[place])
-        state = self.world.reset(int(self.np_random.integers(2**31)), index=index)
-        scene = self.world.scene(state)
-        self.start = self.task_kind.begin(scene, self.world.bank, place, self.np_random)
+        drawn = int(self.np_random.integers(2**31))
+        state = self.world.reset(drawn, index=index)
+        start = self.task_kind.begin(
+            self.world.scene(state), self.world.bank, place, self.np_random
+        )
+        return self._begin(state, start, index, drawn)
+
+    def begin(self, start: SavedStart) -> tuple[Any, Info]:
+        """Begins an episode that began before (`saved_start`), as `reset`.
+
+        Raises:
+          BankError: the scene that it began in is another one here.
+        """
+        state, found = start.of(self.world)
+        return self._begin(state, found, start.scene, start.seed, start.words)
+
+    @property
+    def saved_start(self) -> SavedStart:
+        """How this episode began, as numbers and names."""
+        if self.start is None:
+            raise gymnasium.error.ResetNeeded(
+                "reset() has to be called before an episode has a start"
+            )
+        scene = self.start.scene
+        return SavedStart(
+            self._info["scene"],
+            self._seed,
+            self._info["target"],
+            scene.names,
+            np.array(scene.poses, np.float64),
+            np.array(self.start.goals, np.float64),
+            self.task_description,
+        )
+
+    def _begin(
+        self, state: WorldState, start: EpisodeStart, index: int, seed: int, words: str = ""
+    ) -> tuple[Any, Info]:
+        self.start = start
+        scene = start.scene
+        self._seed = seed
+        self._num_outside = 0
+        self._num_limited = 0
         self.execution = WorldExecution(self.world, state, self.start.scene, self.start.target)
         self._judge = self.task_kind.judge(self.start, self.execution)
         self._order = [
@@ -216,11 +313,12 @@ class RobotEnv(gymnasium.Env):
         self._num_steps = 0
         objects = [self.start.scene.objects[k] for k in self._order]
         self._extents = np.array([asset.half_extents for asset in objects])
-        self.task_description = self.task_kind.sentence([asset.label for asset in objects])
+        self.task_description = words or self.task_kind.sentence([asset.label for asset in objects])
         self._info: Info = {"scene": index, "target": scene.names[self.start.target]}
         return self._observe(), self._info_at("", "")
 
-    def _place_of(self, options: Info | None) -> int:
+    def _asked(self, options: Info | None) -> tuple[Any, Any]:
+        """The scene and the episode that a reset asks for, None for none (ConfigError: anything else)."""
         options = {} if options is None else options
         if not isinstance(options, Mapping):
             raise ConfigError(
@@ -228,11 +326,40 @@ class RobotEnv(gymnasium.Env):
             )
         # LeRobot tells every environment of a new rollout.
         names = sorted(str(each) for each in options)
+        known = ("scene", "episode")
         if unknown := [
-            each for each in names if each != "scene" and not each.startswith("lerobot_")
+            each for each in names if each not in known and not each.startswith("lerobot_")
         ]:
-            raise ConfigError(f"options {unknown} of reset", "scene", 'reset(options={"scene": 0})')
-        if (number := options.get("scene")) is None:
+            raise ConfigError(
+                f"options {unknown} of reset", "scene or episode", 'reset(options={"scene": 0})'
+            )
+        scene, episode = (options.get(name) for name in known)
+        if scene is not None and episode is not None:
+            raise ConfigError("options scene and episode of reset", "one of them")
+        return scene, episode
+
+    def _recorded(self, episode: Any) -> SavedStart:
+        if self.recording is None:
+            raise ConfigError(
+                f"episode {episode!r} of an environment without a recording",
+                "an environment of a recording",
+                "make_env(recording=FOLDER)",
+            )
+        number = len(self.recording)
+        if (
+            isinstance(episode, bool)
+            or not isinstance(episode, Integral)
+            or (not 0 <= episode < number)
+        ):
+            raise ConfigError(
+                f"episode {episode!r} of {self.recording.path}", range_text(0, number - 1)
+            )
+        return self.recording.start(int(episode))
+
+    def _place_of(self, number: Any) -> int:
+        if self._places is None:
+            self._places = self.task_kind.places(self.world.bank)
+        if number is None:
             return int(self.np_random.choice(self._places))
         known = np.asarray(self.world.bank.index)[self._places]
         if isinstance(number, bool) or not isinstance(number, Integral) or number not in known:
@@ -266,7 +393,9 @@ class RobotEnv(gymnasium.Env):
 
     def _info_at(self, outcome: str, detail: str) -> Info:
         is_success = outcome == Outcome.SUCCESS
-        return {**self._info, "is_success": is_success, "outcome": outcome, "detail": detail}
+        ending = {"is_success": is_success, "outcome": outcome, "detail": detail}
+        counted = {"num_outside": self._num_outside, "num_limited": self._num_limited}
+        return {**self._info, **ending, **counted}
 
     def _ctrl_of(self, action: Any) -> np.ndarray:
         """f64[nu]: the set-points that an action asks for, as far as speed limits let them come."""
@@ -279,6 +408,7 @@ class RobotEnv(gymnasium.Env):
                 f"an action {action!r}"[:200],
                 f"{self.action_space.shape[0]} finite numbers, -1 to 1",
             )
+        self._num_outside += int((np.abs(values) > 1 + _ROUNDING).sum())
         values = np.clip(values, -1, 1)
         ctrl = run.data.ctrl.copy()
         now = ctrl[arm.ctrl]
@@ -289,12 +419,14 @@ class RobotEnv(gymnasium.Env):
             wanted = now + values[:-1] * most
         else:
             wanted = self._solve(values[:6], now)
+        self._num_limited += int((np.abs(wanted - now) > most + _ROUNDING).sum())
         ctrl[arm.ctrl] = np.clip(now + np.clip(wanted - now, -most, most), self._low, self._high)
         if self._kinematics is not None:
             # Where speed limits let it come: the next action goes on from there.
             self._tool = self._kinematics.tool(ctrl[arm.ctrl])
         grip = self._share.control_of(float(values[-1]))
         step = self._share.speed * self._period
+        self._num_limited += int(abs(grip - ctrl[arm.grip]) > step * (1 + _ROUNDING))
         ctrl[arm.grip] += np.clip(grip - ctrl[arm.grip], -step, step)
         return ctrl
 
@@ -310,20 +442,34 @@ class RobotEnv(gymnasium.Env):
         """f32[n + 1]: the action that brings the set-points to f64[nu] from where they are now.
 
         Raises:
-          ConfigError: actions are the tool's.
+          ConfigError: actions are the tool's, or none that lies in the box does it.
+        """
+        arm = self.world.robot
+        return self.action_to(ctrl[arm.ctrl], float(ctrl[arm.grip]))
+
+    def action_to(self, joints: np.ndarray, grip: float) -> np.ndarray:
+        """As `action_of`, of set-points f64[n] of the arm and one of the gripper.
+
+        Changes that speed limits do not allow are cut to these and counted in `info["num_limited"]`.
         """
         if self._action == "tool" or self.execution is None:
             raise ConfigError(
                 "set-points as an action of the tool", "action='joint' or 'joint_delta'"
             )
-        arm = self.world.robot
-        joints = ctrl[arm.ctrl]
-        grip = float(ctrl[arm.grip])
         if self._action == "joint":
             share = 2 * (joints - self._low) / (self._high - self._low) - 1
         else:
-            share = (joints - self.execution.set_point) / self._most
-        return np.clip([*share, self._share.share_of(grip)], -1, 1).astype(np.float32)
+            asked = (joints - self.execution.set_point) / self._most
+            share = np.clip(asked, -1, 1)
+            self._num_limited += int((np.abs(asked - share) > _REACHED).sum())
+        action = np.array([*share, self._share.share_of(grip)])
+        if (np.abs(action) > 1 + _REACHED).any():
+            raise ConfigError(
+                f"set-points that an action {action.round(3).tolist()} would bring about",
+                "an action from -1 to 1",
+                "action='joint', or smaller steps",
+            )
+        return np.clip(action, -1, 1).astype(np.float32)
 
     @property
     def substeps(self) -> int:
@@ -336,9 +482,66 @@ class RobotEnv(gymnasium.Env):
             raise gymnasium.error.ResetNeeded("reset() has to be called before render()")
         return self._pictures.draw(self._data, self._cameras[0] if self._cameras else "front")
 
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Whose pictures are observed."""
+        return self._cameras
+
+    def draw(self, data: mujoco.MjData, name: str) -> np.ndarray:
+        """u8[height, width, 3]: what the camera of this name sees. Raises RendererError: nothing can draw."""
+        return self._pictures.draw(data, name)
+
     def close(self) -> None:
         """Frees what pictures are drawn with."""
         self._pictures.close()
+
+    @property
+    def simulation_state(self) -> np.ndarray:
+        """f64[D]: the whole episode: how it began, how many steps it had, positions, speeds, set-points.
+
+        Of what is judged it lacks what the hand touched before.
+        """
+        run = self.execution
+        assert run is not None
+        start = self.saved_start
+        data = run.data
+        rows = np.zeros((2, self._num_slots, _POSE))
+        rows[:, : len(start.names)] = [start.poses, start.goals]
+        first = (start.scene, start.seed, start.names.index(start.target), self._num_steps)
+        moving = (data.qpos, data.qvel, data.ctrl, data.qacc_warmstart)
+        return np.concatenate([first, rows.ravel(), *moving])
+
+    def set_simulation_state(self, state: np.ndarray) -> tuple[Any, Info]:
+        """Goes on from f64[D] of `simulation_state`; what a reset returns.
+
+        Raises:
+          ConfigError: it is of another environment.
+        """
+        model = self.world.model
+        sizes = [4, 2 * self._num_slots * _POSE, model.nq, model.nv, model.nu, model.nv]
+        values = numbers_of(state)
+        if values.shape != (sum(sizes),) or not np.isfinite(values).all():
+            raise ConfigError(
+                f"a state of shape {values.shape}",
+                f"{sum(sizes)} finite numbers, as of `simulation_state`",
+            )
+        first, rows, *moving = np.split(values, np.cumsum(sizes)[:-1])
+        scene, seed, target, num_steps = (int(each) for each in first)
+        names = self.world.scene(self.world.reset(0, index=scene)).names
+        poses, goals = rows.reshape(2, self._num_slots, _POSE)[:, : len(names)]
+        start = SavedStart(scene, seed, names[target], names, poses, goals, "")
+        told = self.begin(start)
+        self._num_steps = num_steps
+        if not num_steps:
+            return told
+        assert self.execution is not None
+        data = self.execution.data
+        for name, each in zip(("qpos", "qvel", "ctrl", "qacc_warmstart"), moving, strict=True):
+            getattr(data, name)[:] = each
+        warmstart = data.qacc_warmstart.copy()
+        mujoco.mj_forward(model, data)
+        data.qacc_warmstart[:] = warmstart
+        return self._observe(), told[1]
 
     def _observe(self) -> dict[str, Any]:
         run = self.execution
@@ -360,8 +563,8 @@ class RobotEnv(gymnasium.Env):
             "agent_pos": hand.astype(np.float32),
             "environment_state": rows.ravel().astype(np.float32),
         }
-        if self._cameras:
-            seen["pixels"] = {name: self._pictures.draw(run.data, name) for name in self._cameras}
+        if self._cameras and self.is_drawing:
+            seen["pixels"] = {name: self.draw(run.data, name) for name in self._cameras}
         return seen
 
 

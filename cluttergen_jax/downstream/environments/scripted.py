@@ -29,7 +29,7 @@ from cluttergen_jax.downstream.robot.outcome import Failed
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.errors import ConfigError
 
-_WAIT = 10
+WAIT = 10
 """Steps of control after the last motion."""
 
 
@@ -49,7 +49,7 @@ def plan_actions(env: RobotEnv, seed: int) -> Iterator[np.ndarray]:
             _rearrange(env, env.start, copy, seed)
         else:
             _move_target(env, env.start, copy, seed)
-    return _actions_of_episode(env, [*copy.commands, *[copy.data.ctrl.copy()] * _WAIT])
+    return _actions_of_episode(env, [*copy.commands, *[copy.data.ctrl.copy()] * WAIT])
 
 
 def _actions_of_episode(env: RobotEnv, commands: list[np.ndarray]) -> Iterator[np.ndarray]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from cluttergen_jax.config import FilmFormat, check_range, check_workers
 from cluttergen_jax.downstream.words import (
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
         GraspSets,
         GraspSource,
         PathPlanner,
+        RecordAsked,
         RobotDescription,
     )
 
@@ -68,7 +69,7 @@ def rearrange(
     show_layouts: bool = False,
     record: str | Path | None = None,
     record_format: RecordFormat = "lerobot",
-    record_cameras: Sequence[str | Path] = ("third", "wrist"),
+    record_cameras: Sequence[str] = ("front", "hand"),
     films: bool = False,
     film: FilmFormat = "gif",
     seed: int = 0,
@@ -151,7 +152,7 @@ def rearrange(
 
     from cluttergen_jax.downstream.rearrange.task import SETTINGS, RearrangeOptions
     from cluttergen_jax.downstream.rearrange.trials import run_rearrangements
-    from cluttergen_jax.downstream.robot import RecordAsked, check_films, usable_robot
+    from cluttergen_jax.downstream.robot import check_films, usable_robot
 
     check_folder(out)
     check_workers("num_threads", num_threads)
@@ -179,7 +180,7 @@ def rearrange(
         check_factor(noise)
     described = usable_robot(robot)
     found, told, usual = _own_scenes(bank, pool, support, target, str(goals), setting)
-    recorded = RecordAsked.of(record, record_format, record_cameras)
+    recorded = cast("RecordAsked | None", record)
     if films or show_layouts:
         check_films(film)
     looking: Any = observer

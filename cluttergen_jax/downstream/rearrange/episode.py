@@ -501,6 +501,8 @@ def rearrange_episode(
             judge.check_end(worker.goals)
 
         outcome, detail = run_to_end(run)
+    if trace is not None:
+        trace.goals = np.array(worker.goals, np.float64)
     # Where no layout was chosen nothing is where it should be.
     right = judge.is_right(worker.goals) & (worker.layout >= 0)
     errors = judge.errors(worker.goals)[right]

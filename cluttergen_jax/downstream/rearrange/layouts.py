@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -33,7 +34,7 @@ from cluttergen_jax.geometry import transform_points
 from cluttergen_jax.learning import choose_method, sampler_of
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement import MIN_MARGIN, PlacementConfig, make_region
-from cluttergen_jax.scene import Bank, region_of
+from cluttergen_jax.scene import Bank, Scene, region_of
 from cluttergen_jax.types import Array
 
 AREA = Rectangle((0.0, 0.0), (0.27, 0.32))
@@ -69,6 +70,7 @@ class SceneDraw:
         support: str | None = None,
         relations: Sequence[str] = (),
     ) -> None:
+        self._sampler: Any = None
         if isinstance(source, Bank):
             self.area = reached_part(region_of(source))
             config = PlacementConfig(
@@ -88,6 +90,7 @@ class SceneDraw:
                 num_threads=num_threads,
                 relations=relations,
             )
+            self._sampler = sampler
             problem = sampler.problem
             steps = sampler.steps
         world = problem.world
@@ -121,6 +124,12 @@ class SceneDraw:
             return last.poses, last.is_success
 
         self._draw: Any = jax.jit(jax.vmap(draw, in_axes=(0, *[None] * 6)))
+
+    def write_bank(self, path: Path, scenes: Sequence[Scene], method: str, seed: int) -> Bank:
+        """Writes scenes of a pool's objects as a bank (`Sampler.write_bank`); a bank's are in theirs."""
+        assert self._sampler is not None
+        found: Bank = self._sampler.write_bank(path, scenes, method, seed)
+        return found
 
     def __call__(
         self,

@@ -432,6 +432,10 @@ class Starts:
             f"no starting scene of {setting.name!r}", "smaller objects", "another pool"
         )
 
+    def write_bank(self, path: Path, scenes: Sequence[Scene], seed: int) -> Bank:
+        """A bank of starting scenes, in which environments can begin."""
+        return self._place.write_bank(path, scenes, f"starts of {self.setting.name}", seed)
+
     def _choose(self, rng: np.random.Generator) -> list[int]:
         """Objects of the pool at random; such as the goals are for, if there are goals."""
         objects = self._place.objects

@@ -16,7 +16,7 @@ from cluttergen_jax.downstream.rearrange import episode, judge, layouts, observe
 from cluttergen_jax.downstream.rearrange.episode import rearrange_episode
 from cluttergen_jax.downstream.rearrange.layout_views import save_sheets
 from cluttergen_jax.downstream.rearrange.observe import Observer, TrueObserver
-from cluttergen_jax.downstream.rearrange.starts import OwnScenes, Starts, task_words
+from cluttergen_jax.downstream.rearrange.starts import OwnScenes, Starts, is_bank, task_words
 from cluttergen_jax.downstream.rearrange.task import (
     Chooser,
     RearrangeOptions,
@@ -26,6 +26,7 @@ from cluttergen_jax.downstream.rearrange.task import (
 )
 from cluttergen_jax.downstream.robot import (
     EPISODES,
+    STARTS,
     Endings,
     GraspSets,
     GraspSource,
@@ -36,7 +37,6 @@ from cluttergen_jax.downstream.robot import (
     episode_seed,
     find_robot,
     make_episodes,
-    open_recorder,
     planner_hash,
     planner_recipe,
     success_of,
@@ -143,7 +143,7 @@ def run_rearrangements(
       ask: a person, who chooses the layouts.
       films: film the first episode of each outcome in the folder `films` of `out` (`Films`).
       own_grasps, planner, own: a user's; told_own: what a recipe says of `own`.
-      record: where and how every episode is recorded.
+      record: where and how every episode is recorded; scenes that are in no bank are written beside it.
       sheets: draw the layouts of each episode as `out`/layouts-NUMBER.png (`layout_sheet`).
       robot: that does it; the Panda if not given.
 
@@ -177,26 +177,37 @@ def run_rearrangements(
     # Where nothing is left to be done it is not made.
     starts = cache(lambda: Starts(setting, pool, num_threads, own_grasps, planner, own, robot))
 
+    @cache
     def task_of(index: int) -> RearrangeProblem:
         task = starts()(episode_seed(seed, index), index)
         file.note_grasps({each.name: each.digest for each in task.grasps})
         return task
 
+    goals = "" if own is None else own.goals
+
+    def with_words(row: RearrangeResult, trace: Trace | None) -> RearrangeResult:
+        if trace is not None and goals and not is_bank(goals):
+            trace.words = task_words(goals)(row)
+        return row
+
     def again(index: int, trace: Trace) -> RearrangeResult:
         # What a person chose is not asked for again.
         given = options if ask is None else replace(options, layout=rows[index].layout)
-        return rearrange_episode(task_of(index), given, observer, trace)
+        return with_words(rearrange_episode(task_of(index), given, observer, trace), trace)
 
     def run(index: int, trace: Trace | None = None) -> RearrangeResult:
-        return rearrange_episode(task_of(index), options, observer, trace, ask)
+        return with_words(rearrange_episode(task_of(index), options, observer, trace, ask), trace)
 
     def note(rows: list[RearrangeResult]) -> str:
         return f"{sum(row.is_success for row in rows)} of {len(rows)} good, the last: {rows[-1].outcome}"
 
     recorder = None
     if record is not None:
-        words = task_words("" if own is None else own.goals)
-        recorder = open_recorder(record, recipe, seed, words)
+        bank = None if own is None else own.bank
+        if bank is None:
+            scenes = [task_of(index).scene for index in range(number)]
+            bank = starts().write_bank(record.folder / STARTS, scenes, seed)
+        recorder = record.open("rearrange", str(bank.path), robot, recipe)
     make_episodes(file, rows, number, run, setting.name, note, out, films, recorder, again)
     if out is not None and sheets:
         save_sheets(rows, task_of, options, observer, out)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
         told_motion,
     )
     from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
-    from cluttergen_jax.downstream.robot.recorder import RecordAsked, open_recorder
+    from cluttergen_jax.downstream.robot.recorder import STARTS, DemonstrationRecorder, RecordAsked
     from cluttergen_jax.downstream.robot.sensing_arm import ArmSilhouette
     from cluttergen_jax.downstream.robot.trials import (
         EPISODES,
@@ -67,7 +67,7 @@ __getattr__, __all__ = offer(
             "told_motion",
         ),
         "protocols": ("GraspSource", "PathPlanner"),
-        "recorder": ("RecordAsked", "open_recorder"),
+        "recorder": ("DemonstrationRecorder", "RecordAsked", "STARTS"),
         "sensing_arm": ("ArmSilhouette",),
         "trials": (
             "EPISODES",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from cluttergen_jax import SceneSpec
 from cluttergen_jax.config import FilmFormat, Method, check_names, check_range, check_workers
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         GraspSets,
         GraspSource,
         PathPlanner,
+        RecordAsked,
         RobotCheck,
         RobotDescription,
         RobotTrials,
@@ -182,7 +183,7 @@ def robot_place(
     region: str | None = None,
     record: str | Path | None = None,
     record_format: RecordFormat = "lerobot",
-    record_cameras: Sequence[str | Path] = ("third", "wrist"),
+    record_cameras: Sequence[str] = ("front", "hand"),
     films: bool = False,
     film: FilmFormat = "gif",
     seed: int = 0,
@@ -216,13 +217,14 @@ def robot_place(
       pool, method, support, num_objects, region: for a generated bank, as in `generate`; household, guided,
         the usual table, 8 and the middle of its region, 0.5x0.5 at most, if not given; for a robot of less
         reach what its description has as `scenes`.
-      record: record every episode into this folder, 20 frames a second: joints, tool, gripper, contact,
-        set-points, success, the task in words, and pictures. Episodes of which there are only rows are run
-        again for it.
+      record: record every episode into this folder: what the arm did is done again in the environment of the
+        task and bank, whose observations, actions and success are recorded (`cg.robot.make_env`,
+        docs/contract.md; `make_env(recording=...)` makes it again). Episodes of which there are only rows are
+        run again for it.
       record_format: "lerobot", a LeRobot dataset of version 3.0 (with cameras extra `video`); or "robomimic",
         HDF5 (extra `record`).
-      record_cameras: of the recording: "third" (across the table), "wrist", and others by name or in JSON
-        files as of `render`; none if empty.
+      record_cameras: of the recording, as of `cg.robot.make_env`: overhead, front, side and wrist, which
+        stand still, and hand; none if empty.
       films: draw films of the first success and of the first failure of each kind, in the folder films beside
         the rows; those episodes are run again for it.
       film: "gif", or "mp4" (extra video).
@@ -242,6 +244,7 @@ def robot_place(
       RendererError: pictures are asked for, and nothing here can draw.
     """
     from dataclasses import replace
+    from functools import partial
     from typing import Any
 
     from cluttergen_jax import generate
@@ -252,7 +255,6 @@ def robot_place(
     from cluttergen_jax.downstream.robot.check import region_for, usable_robot
     from cluttergen_jax.downstream.robot.film import check_films
     from cluttergen_jax.downstream.robot.places import CameraPlacer, SearchPlaces
-    from cluttergen_jax.downstream.robot.recorder import RecordAsked
     from cluttergen_jax.downstream.robot.trials import keep_upright_last, own_place, run_trials
     from cluttergen_jax.learning import checkpoint_of
     from cluttergen_jax.own_parts import part_label, part_name
@@ -266,7 +268,7 @@ def robot_place(
     looking = _looking(placer)
     factor = _factor(noise, task, looking is not None)
     described = usable_robot(robot)
-    recorded = RecordAsked.of(record, record_format, record_cameras)
+    recorded = cast("RecordAsked | None", record)
     if films:
         check_films(film)
 
@@ -328,7 +330,10 @@ def robot_place(
         robot=described,
         own_grasps=grasps,
         planner=planner,
-        record=recorded,
+        record=recorded
+        and partial(
+            recorded.open, "grasp" if task == "lift" else "place", str(found.path), described
+        ),
     )
 
 

@@ -8,46 +8,52 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.model import TIMESTEP
 from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.outcome import EpisodeRow, check_repeated
-from cluttergen_jax.downstream.robot.recording import FPS, EpisodeRecording, RecordCameras
-from cluttergen_jax.downstream.words import RecordFormat, check_choice
+from cluttergen_jax.downstream.robot.recording import EpisodeRecording
+from cluttergen_jax.downstream.words import RecordFormat
 from cluttergen_jax.errors import BankError, MissingExtraError
-from cluttergen_jax.files import check_folder, file_whole, write_atomically
+from cluttergen_jax.files import file_whole, write_atomically
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.rendering import find_backend, find_ffmpeg, save_film
+from cluttergen_jax.rendering import find_ffmpeg, save_film
 from cluttergen_jax.stores import BlockStore
 
 Row = TypeVar("Row", bound=EpisodeRow)
-_STORE = BlockStore(
+STARTS = "starts"
+STORE = BlockStore(
     "recordings",
     "recording.json",
     "recordings of episodes",
-    "cluttergen robot place --record",
+    "cluttergen robot record",
+    # A bank of starting scenes, where these are in no other.
+    (STARTS,),
     argument="record",
 )
+FPS = 20
+"""Steps of control in a second of simulated time, where a planner's motion is recorded."""
 _CHUNK = 1000
-_DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _VIDEO = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
-_EPISODES = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+EPISODE_TABLE = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 _SAMPLED = 20
 """Every so manieth picture counts for the statistics of pixels."""
-_POSE = ["x", "y", "z", "qw", "qx", "qy", "qz"]
 
 
 class RecordFolder:
     """A folder of recordings in some format, which an interrupted command continues.
 
     Args:
-      cameras: that are recorded. told: what makes recordings comparable.
+      environment: in which episodes are run, as it is written down. told: what else makes recordings
+        comparable.
 
     Raises:
       BankError: it holds something else, recordings of other settings or a damaged episode, or another
@@ -55,13 +61,16 @@ class RecordFolder:
       MissingExtraError: something is not installed that the format needs.
     """
 
-    def __init__(self, path: Path, cameras: RecordCameras, told: Mapping[str, Any]) -> None:
+    def __init__(self, path: Path, environment: Mapping[str, Any], told: Mapping[str, Any]) -> None:
         self._path = path
-        self._sizes = cameras.sizes
+        self._environment = environment
+        self._fps = round(environment["control_hz"])
+        height, width = environment["image_size"]
+        self._sizes = dict.fromkeys(environment["cameras"], (width, height))
         self._import_extras()
-        self._lock = _STORE.folder(path).lock()
+        self._lock = STORE.folder(path).lock()
         try:
-            _STORE.begin(path, told)
+            STORE.begin(path, {**told, "environment": dict(environment)})
             self._resume()
         except BaseException:
             self._lock.release()
@@ -111,7 +120,7 @@ class LeRobotFolder(RecordFolder):
         self._episodes: list[dict[str, Any]] = []
         self._features: dict[str, Any] = {}
         self._robot = ""
-        while (place := self._place(_EPISODES, len(self._episodes))).is_file():
+        while (place := self._place(EPISODE_TABLE, len(self._episodes))).is_file():
             with _reading(place):
                 self._episodes += pq.read_table(place).to_pylist()
         place = self._path / "meta/info.json"
@@ -138,12 +147,12 @@ class LeRobotFolder(RecordFolder):
         is_last = np.arange(length) == length - 1
         columns = {
             "observation.state": recording.state,
-            "observation.tool_pose": recording.tool_pose,
-            "observation.contact": recording.contact,
+            "observation.environment_state": recording.objects,
             "action": recording.action,
+            "next.reward": recording.reward,
             "next.done": is_last,
             "next.success": is_last & recording.is_success,
-            "timestamp": (np.arange(length) / FPS).astype(np.float32),
+            "timestamp": (np.arange(length) / self._fps).astype(np.float32),
             "frame_index": np.arange(length),
             "episode_index": np.full(length, index),
             "index": np.arange(first, first + length),
@@ -157,25 +166,27 @@ class LeRobotFolder(RecordFolder):
             "dataset_to_index": first + length,
             "number": recording.number,
             "success": recording.is_success,
+            "outcome": recording.outcome,
+            "start": recording.start,
         }
         chunk = _chunk(index)
         for kind in ("data", "meta/episodes"):
             row |= {f"{kind}/{name}": at for name, at in chunk.items()}
         for name in self._sizes:
             key = f"observation.images.{name}"
-            counted = _Pixels(recording.pictures(name))
-            save_film(counted, self._place(_VIDEO, index, key), FPS)
-            told = chunk | {"from_timestamp": 0.0, "to_timestamp": length / FPS}
+            counted = _Pixels(recording.pictures[name]())
+            save_film(counted, self._place(_VIDEO, index, key), self._fps)
+            told = chunk | {"from_timestamp": 0.0, "to_timestamp": length / self._fps}
             row |= {f"videos/{key}/{what}": value for what, value in told.items()}
             row |= {f"stats/{key}/{what}": value for what, value in counted.stats(length).items()}
         for key, values in columns.items():
             row |= {f"stats/{key}/{what}": value for what, value in _stats(values).items()}
         table = pa.table({key: _column(each) for key, each in columns.items()})
-        _write(self._place(_DATA, index), table)
-        _write(self._place(_EPISODES, index), pa.Table.from_pylist([row]))
+        _write(self._place(DATA, index), table)
+        _write(self._place(EPISODE_TABLE, index), pa.Table.from_pylist([row]))
         self._episodes.append(row)
         self._features = self._features_of(columns, recording.names)
-        self._robot = recording.trace.robot.name
+        self._robot = recording.robot
         self._tell()
 
     def _tasks(self) -> list[str]:
@@ -185,8 +196,14 @@ class LeRobotFolder(RecordFolder):
     def _place(self, form: str, index: int, key: str = "") -> Path:
         return self._path / form.format(video_key=key, **_chunk(index))
 
-    def _features_of(self, columns: dict[str, np.ndarray], names: list[str]) -> dict[str, Any]:
-        told = {"observation.state": names, "action": names, "observation.tool_pose": _POSE}
+    def _features_of(
+        self, columns: dict[str, np.ndarray], names: Mapping[str, list[str]]
+    ) -> dict[str, Any]:
+        told = {
+            "observation.state": names["state"],
+            "observation.environment_state": names["objects"],
+            "action": names["action"],
+        }
         features: dict[str, Any] = {
             key: {
                 "dtype": str(each.dtype),
@@ -197,7 +214,7 @@ class LeRobotFolder(RecordFolder):
         }
         for name, (width, height) in self._sizes.items():
             info = {"height": height, "width": width, "codec": "h264", "pix_fmt": "yuv420p"}
-            info |= {"fps": FPS, "channels": 3, "is_depth_map": False}
+            info |= {"fps": self._fps, "channels": 3, "is_depth_map": False}
             features[f"observation.images.{name}"] = {
                 "dtype": "video",
                 "shape": [height, width, 3],
@@ -223,9 +240,9 @@ class LeRobotFolder(RecordFolder):
             "chunks_size": _CHUNK,
             "data_files_size_in_mb": 100,
             "video_files_size_in_mb": 200,
-            "fps": FPS,
+            "fps": self._fps,
             "splits": {"train": f"0:{len(self._episodes)}"},
-            "data_path": _DATA,
+            "data_path": DATA,
             "video_path": _VIDEO if self._sizes else None,
             "features": self._features,
         }
@@ -324,7 +341,9 @@ _PANDAS = {
 
 
 _GYM = 2
-"""What robomimic calls environments of Gymnasium."""
+"""What robomimic calls environments of Gym."""
+GYM_NAME = "cluttergen_jax.downstream.environments.robomimic:ClutterRobot-v0"
+"""By which Gym finds the environment that robomimic makes."""
 _PRESSED = {"compression": "gzip", "compression_opts": 4}
 
 
@@ -355,14 +374,8 @@ class RobomimicFolder(RecordFolder):
 
     def add(self, recording: EpisodeRecording) -> None:
         length = len(recording)
-        obs = {}
-        obs["robot0_joint_pos"] = recording.state[:, :-1]
-        obs["robot0_gripper_qpos"] = recording.state[:, -1:]
-        # Quaternions as robosuite has them: x, y, z, w.
-        turn = recording.tool_pose[:, [4, 5, 6, 3]]
-        obs["robot0_eef_pos"] = recording.tool_pose[:, :3]
-        obs["robot0_eef_quat"] = turn
-        obs["robot0_contact"] = recording.contact[:, None].astype(np.float32)
+        # All that robomimic's wrapper of Gym passes on is one row of numbers.
+        flat = np.concatenate([recording.state, recording.objects], axis=1)
         is_last = np.arange(length) == length - 1
         with (
             file_whole(self._place(len(self._numbers))) as fresh,
@@ -370,20 +383,20 @@ class RobomimicFolder(RecordFolder):
         ):
             demo = file.create_group("demo")
             told = {"num_samples": length, "number": recording.number, "task": recording.task}
-            demo.attrs.update(told | {"success": recording.is_success, "fps": FPS})
+            ending = {"success": recording.is_success, "outcome": recording.outcome}
+            demo.attrs.update(told | ending | {"start": recording.start, "fps": self._fps})
             demo["actions"] = recording.action
-            demo["states"] = recording.qpos
+            demo["states"] = recording.simulation
             demo["dones"] = is_last.astype(np.int64)
-            demo["rewards"] = (is_last & recording.is_success).astype(np.float64)
-            for name, values in obs.items():
-                demo[f"obs/{name}"] = values
+            demo["rewards"] = recording.reward.astype(np.float64)
+            demo["obs/flat"] = flat
             for name, (width, height) in self._sizes.items():
                 shape = (length, height, width, 3)
                 chunk = (1, height, width, 3)
                 held = demo.create_dataset(
                     f"obs/{name}_image", shape, "u1", chunks=chunk, **_PRESSED
                 )
-                for frame, picture in enumerate(recording.pictures(name)):
+                for frame, picture in enumerate(recording.pictures[name]()):
                     held[frame] = picture
         self._numbers.append(recording.number)
 
@@ -399,10 +412,27 @@ class RobomimicFolder(RecordFolder):
                 total += int(data[f"demo_{index}"].attrs["num_samples"])
                 if data[f"demo_{index}"].attrs["success"]:
                     good.append(f"demo_{index}")
-            env = {"env_name": "cluttergen", "type": _GYM, "env_kwargs": {}}
+            env = {
+                "env_name": GYM_NAME,
+                "type": _GYM,
+                "env_kwargs": {"environment": self._environment},
+            }
             data.attrs.update({"total": total, "env_args": json.dumps(env)})
             file["mask/success"] = np.array(good, "S")
+            file["mask/failure"] = np.array(
+                [name for name in sorted(data, key=_demo_number) if name not in good], "S"
+            )
         super().finish()
+
+
+def _demo_number(name: str) -> int:
+    return int(name.removeprefix("demo_"))
+
+
+FORMATS: dict[RecordFormat, type[RecordFolder]] = {
+    "lerobot": LeRobotFolder,
+    "robomimic": RobomimicFolder,
+}
 
 
 @dataclass(eq=False)
@@ -410,19 +440,17 @@ class DemonstrationRecorder:
     """Records every episode once, as it is run, and those of which there are only rows by running them again.
 
     Args:
-      folder: where; cameras: by which.
-      seed: of cameras that are drawn. task: what an episode was to do, of its row.
+      folder: where. play: an episode's trace, run in the environment whose numbers are recorded; None of
+        one that has no steps.
     """
 
     folder: RecordFolder
-    cameras: RecordCameras
-    seed: int
-    task: Callable[[Any], str]
+    play: Callable[[int, Trace], EpisodeRecording | None]
 
     def run(
         self, number: int, run: Callable[[int, Trace], Row], known: EpisodeRow | None = None
     ) -> Row:
-        """Runs an episode and records it; one in which nothing moved has no frames, and is left out.
+        """Runs an episode and records it; one in which nothing moved has no steps, and is left out.
 
         Args:
           known: its row, if it was run before.
@@ -436,14 +464,13 @@ class DemonstrationRecorder:
             check_repeated(number, known, row)
         # A command that was killed between the recording and the row has it already.
         if trace.states and number not in self.folder.numbers():
-            cameras = self.cameras.place(trace.scene.support, (self.seed, number))
-            self.folder.add(
-                EpisodeRecording(number, self.task(row), row.is_success, trace, cameras)
-            )
+            recording = self.play(number, trace)
+            if recording is not None:
+                self.folder.add(recording)
         return row
 
     def complete(self, rows: Sequence[Row], run: Callable[[int, Trace], Row]) -> None:
-        """Records the episodes that were run before and have frames, unless they are recorded (`run`)."""
+        """Records the episodes that were run before and have steps, unless they are recorded (`run`)."""
         known = set(self.folder.numbers())
         missing = [k for k, row in enumerate(rows) if k not in known and row.seconds > 0]
         with Progress("recording", len(missing), "episode") as progress:
@@ -456,50 +483,21 @@ class DemonstrationRecorder:
         self.folder.finish()
 
 
-@dataclass(frozen=True)
-class RecordAsked:
-    """What is recorded where; folder, form and cameras: as given.
+class RecordAsked(Protocol):
+    """Opens the recorder that a command was asked for, once its scenes are known; folder: where."""
 
-    Raises:
-      ConfigError: there is no such format or camera.
-      RendererError: there are cameras, and nothing here can draw.
-    """
+    @property
+    def folder(self) -> Path: ...
 
-    folder: Path
-    form: RecordFormat
-    cameras: RecordCameras
+    def open(
+        self, task: str, bank: str, robot: RobotDescription, recipe: Mapping[str, Any]
+    ) -> DemonstrationRecorder:
+        """A recorder into a folder, which may hold recordings of the same recipe.
 
-    @staticmethod
-    def of(
-        folder: str | Path | None, form: RecordFormat, cameras: Sequence[str | Path]
-    ) -> RecordAsked | None:
-        """None where no folder is given."""
-        check_choice("record_format", form, RecordFormat)
-        asked = RecordCameras.of(cameras)
-        if folder is None:
-            return None
-        check_folder(folder, "record")
-        if asked.sizes:
-            find_backend()
-        return RecordAsked(Path(folder), form, asked)
+        Args:
+          task: of an environment. bank: whose scenes episodes begin in.
 
-
-def open_recorder(
-    asked: RecordAsked, recipe: Mapping[str, Any], seed: int, task: Callable[[Any], str]
-) -> DemonstrationRecorder:
-    """A recorder into a folder, which may hold recordings of the same recipe.
-
-    Raises:
-      BankError: the folder holds something else, or recordings of other settings.
-      MissingExtraError: the format or videos need an extra that is not installed.
-    """
-    cameras = asked.cameras
-    told = {
-        "format": asked.form,
-        "fps": FPS,
-        "cameras": repr(cameras),
-        "seed": seed,
-        "episodes": dict(recipe),
-    }
-    kind = LeRobotFolder if asked.form == "lerobot" else RobomimicFolder
-    return DemonstrationRecorder(kind(asked.folder, cameras, told), cameras, seed, task)
+        Raises:
+          BankError: the folder holds something else, or recordings of other settings.
+          MissingExtraError: the format or videos need an extra that is not installed.
+        """

@@ -32,11 +32,7 @@ from cluttergen_jax.downstream.robot.motion.execute import Trace
 from cluttergen_jax.downstream.robot.outcome import Endings, Outcome, causes_of, success_of
 from cluttergen_jax.downstream.robot.places import CameraPlacer
 from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
-from cluttergen_jax.downstream.robot.recorder import (
-    DemonstrationRecorder,
-    RecordAsked,
-    open_recorder,
-)
+from cluttergen_jax.downstream.robot.recorder import DemonstrationRecorder
 from cluttergen_jax.downstream.words import RobotTask
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.evaluation import versions
@@ -142,7 +138,7 @@ def run_trials(
     films: FilmFormat | None = None,
     own_grasps: GraspSource | GraspSets | None = None,
     planner: PathPlanner | None = None,
-    record: RecordAsked | None = None,
+    record: Callable[[Mapping[str, Any]], DemonstrationRecorder] | None = None,
     robot: RobotDescription | None = None,
 ) -> RobotTrials:
     """Runs episodes: the last object of a scene, upon which nothing lies, is the one that is moved.
@@ -157,7 +153,7 @@ def run_trials(
         looks.
       own_grasps: a user's, in place of those that are made and tested.
       planner: a user's, for the paths between places.
-      record: where and how every episode is recorded.
+      record: opens what records every episode, of the recipe.
       films: film the first episode of each outcome in the folder `films` of `out` (`Films`).
       robot: that does it; the Panda if not given.
 
@@ -212,9 +208,7 @@ def run_trials(
         good = sum(row.is_success for row in rows)
         return f"{good} of {len(rows)} good, {rows[-1].object}: {rows[-1].outcome}"
 
-    recorder = (
-        None if record is None else open_recorder(record, recipe, seed, partial(_task_text, task))
-    )
+    recorder = None if record is None else record(recipe)
     make_episodes(file, rows, number, run, task, note, out, films, recorder)
     return RobotTrials(task, tuple(rows))
 
@@ -248,11 +242,6 @@ def make_episodes(
         recorder.finish()
     if filmed is not None:
         filmed.draw(rows, again)
-
-
-def _task_text(task: str, row: EpisodeResult) -> str:
-    name = row.object.replace("_", " ")
-    return f"lift the {name}" if task == "lift" else f"put the {name} on the table among the others"
 
 
 def _episode(

@@ -79,6 +79,9 @@ class Trace:
       openings: metres that the fingers are from the middle.
       held: the number of the object that the hand is closed on at each of them, -1 if it is open.
       scene: at the start; stands: that are there besides. robot: that moves; arm: where it is found.
+      target: the number of the object that is to be moved (first).
+      goals: f64[N, 7], T_world_object where the scene's objects shall go, of a rearrangement; words: the
+        task, where it was asked for in words.
       spec, data: of the simulation; its state stays the last one.
     """
 
@@ -87,6 +90,9 @@ class Trace:
     controls: list[np.ndarray] = field(default_factory=list)
     openings: list[float] = field(default_factory=list)
     held: list[int] = field(default_factory=list)
+    goals: np.ndarray | None = None
+    words: str = ""
+    target: int = field(init=False)
     scene: Scene = field(init=False)
     stands: tuple[Box, ...] = field(init=False)
     robot: RobotDescription = field(init=False)
@@ -140,6 +146,7 @@ class Execution:
         self.num_steps = 0
         if trace is not None:
             trace.scene = scene
+            trace.target = target
             trace.stands = tuple(stands)
             trace.robot = self.robot
             trace.spec = spec
