@@ -17,11 +17,13 @@ if TYPE_CHECKING:
         list_robots,
         read_robot,
     )
+    from cluttergen_jax.downstream.robot.grasping.suction import SuctionCup
 
 __all__ = [
     "RandomizationConfig",
     "RobotDescription",
     "RobotWorld",
+    "SuctionCup",
     "dataset",
     "grasps",
     "list_robots",
@@ -38,6 +40,7 @@ __getattr__, __dir__ = name_space(
         "RandomizationConfig": "downstream.environments.randomization:RandomizationConfig",
         "RobotDescription": "downstream.robot.description:RobotDescription",
         "RobotWorld": "downstream.environments.world:RobotWorld",
+        "SuctionCup": "downstream.robot.grasping.suction:SuctionCup",
         "dataset": "downstream.robot.api:grasp_dataset",
         "grasps": "downstream.robot.api:robot_grasps",
         "list_robots": "downstream.robot.description:list_robots",

@@ -18,6 +18,7 @@ LayoutRule = Literal["clearance", "reach", "similar"]
 PickOrder = Literal["graph", "lowest"]
 RobotObserver = Literal["true", "perception"]
 RecordFormat = Literal["lerobot", "robomimic"]
+GraspFormat = Literal["vgn", "giga", "acronym", "contact_graspnet", "graspnet"]
 
 MAX_PAIRS = 10_000_000
 """Of a split of a data set: a larger number is a slip of the hand."""

@@ -110,6 +110,12 @@ class Union:
             [self._planes[p][crossing.face[row, p], :3] for row, p in zip(rows, part, strict=True)]
         ).reshape(-1, 3)
 
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """f64[P]: metres to the nearest part, below 0 inside; near edges and corners less than that."""
+        depth = [(points @ p[:, :3].T + p[:, 3]).max(1) for p in self._planes]
+        nearest: np.ndarray = np.min(depth, axis=0)
+        return nearest
+
     def reach(self, start: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """f64[L]: metres that lines run within the union from points inside it, 0 for points outside."""
         crossing = self.cast(start, direction)
@@ -353,6 +359,11 @@ class HandCheck:
         if of_plane and ahead:
             of_plane = self._look(pose, -ahead)[1]
         return True, of_plane
+
+    def is_clear_at(self, pose: np.ndarray, width: float) -> bool:
+        """Whether the hand is clear of the object at T_object_tool f64[4, 4], whatever its way there."""
+        self._data.qpos[: self._start] = self._gripper.joints_of(self._gripper.opening_of(width))
+        return self._look(pose, 0.0)[0]
 
     def _look(self, pose: np.ndarray, back: float) -> tuple[bool, bool]:
         """Whether the hand, so far before a grasp, is clear of the object, and of the plane."""
