@@ -287,23 +287,42 @@ def draw_approaches(
     angle = np.where(np.arange(number) % 2, np.clip(turned, -quarter, quarter), 0.0)
     approach = np.cos(angle)[:, None] * below + np.sin(angle)[:, None] * side
     shallow = rng.choice(_SHALLOW, number)
-    first = pairs.first[row] + _INSIDE * axis
-    ahead = union.reach(first, approach)
-    behind = union.reach(first, -approach)
-    depth = np.minimum(ahead, pad - shallow) + np.minimum(behind, pad + shallow)
-    across = np.cross(axis, approach)
-    left = union.reach(first, across)
-    right = union.reach(first, -across)
-    cover = np.minimum(left, pad) + np.minimum(right, pad)
-    is_deep = (depth >= np.minimum(MIN_COVER, 0.75 * (ahead + behind))) & (
-        cover >= np.minimum(MIN_COVER, 0.75 * (left + right))
-    )
+    is_deep = pads_cover(union, pairs.first[row], axis, approach, pad, shallow)
     keep = is_deep & (approach @ down >= -STEEPEST_UP)
-    turn = np.stack([across, axis, approach], axis=-1)
+    turn = np.stack([np.cross(axis, approach), axis, approach], axis=-1)
     # The pads are where the tool's origin is, but for what they move along the approach as they close.
     back = shallow + gripper.depth_of(width)
     pose = rigid(turn, middle - back[:, None] * approach)[keep]
     return GraspCandidates(pose, width[keep], np.zeros(len(pose), bool))
+
+
+def pads_cover(
+    union: Union,
+    first: np.ndarray,
+    axis: np.ndarray,
+    approach: np.ndarray,
+    pad: float,
+    shallow: np.ndarray | float = 0.0,
+) -> np.ndarray:
+    """bool[P]: pads lie on enough of an object, along and across the approach (`MIN_COVER`).
+
+    Args:
+      first: f64[P, 3], where one finger touches. axis, approach: f64[P, 3], from there to the other, and of
+        the hand. pad: metres, half of a pad's length. shallow: f64[P], metres by which `first` is nearer to
+        the tips than the pads' middle.
+    """
+    inside = first + _INSIDE * axis
+    ahead = union.reach(inside, approach)
+    behind = union.reach(inside, -approach)
+    depth = np.minimum(ahead, pad - shallow) + np.minimum(behind, pad + shallow)
+    across = np.cross(axis, approach)
+    left = union.reach(inside, across)
+    right = union.reach(inside, -across)
+    cover = np.minimum(left, pad) + np.minimum(right, pad)
+    is_deep: np.ndarray = (depth >= np.minimum(MIN_COVER, 0.75 * (ahead + behind))) & (
+        cover >= np.minimum(MIN_COVER, 0.75 * (left + right))
+    )
+    return is_deep
 
 
 def _downwards(axis: np.ndarray, down: np.ndarray) -> np.ndarray:

@@ -332,6 +332,8 @@ def make(
     scenes = list(read_scenes(source))[:num_scenes]
     objects = list({asset.name: asset for scene in scenes for asset in scene.objects}.values())
     _check_formats(plan)
+    if not (out / _DATASET.index).exists():
+        _check_objects(objects, plan)
     recipe = {
         "bank": {"name": bank.resolve().name, "recipe": source.recipe},
         **vars(plan),
@@ -344,9 +346,6 @@ def make(
     }
     with _DATASET.hold(out), writing(out):
         remove_partial(out)
-        is_new = not (out / _DATASET.index).exists()
-        if is_new:
-            _check_objects(objects, plan)
         _DATASET.begin(out, recipe)
         if "giga" in plan.format:
             for asset in objects:

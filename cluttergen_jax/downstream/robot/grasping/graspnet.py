@@ -4,7 +4,7 @@ Fang et al., "GraspNet-1Billion", CVPR 2020; Cao et al., "SuctionNet-1Billion", 
 of the object, one of 300 views, one of 12 turns about it and one of 4 depths along it; x is the approach, y
 the direction in which the fingers close. The middle of the pads is `depth` ahead of the point, where their
 code looks for contacts. The score is the least sliding friction with which both contacts can be pressed
-towards each other, a multiple of 0.1 up to 1; -1 where there is none.
+towards each other, a multiple of 0.1 up to 1; -1 where there is none, or a pad lies on too little.
 
 models/ID/{nontextured.ply,textured.obj,textured.sdf}
 grasp_label/ID_labels.npz, collision_label/SCENE/collision_labels.npz
@@ -28,7 +28,7 @@ from scipy.io import savemat
 
 from cluttergen_jax.assets import Mesh, ObjectAsset, mesh_text
 from cluttergen_jax.downstream.robot.description import RobotDescription
-from cluttergen_jax.downstream.robot.grasping.candidates import HandCheck, Union
+from cluttergen_jax.downstream.robot.grasping.candidates import HandCheck, Union, pads_cover
 from cluttergen_jax.downstream.robot.grasping.object_labels import closing_contacts
 from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of, rigid
@@ -137,6 +137,14 @@ def label_densely(asset: ObjectAsset, number: int, robot: RobotDescription) -> D
     contacts = closing_contacts(union, middle, axes[..., 1], gripper.max_opening)
     friction = np.maximum(np.ceil(contacts.friction / _STEP - 1e-6), 1) * _STEP
     is_good = friction <= _MOST_FRICTION + 1e-6
+    rows = np.flatnonzero(is_good)
+    is_good[rows] = pads_cover(
+        union,
+        contacts.points[rows, 1],
+        axes[rows, :, 1],
+        axes[rows, :, 0],
+        robot.gripper.pad,
+    )
     width = np.where(is_good, 2 * gripper.opening_of(contacts.width), 2 * gripper.max_opening)
     hand = HandCheck(asset, robot)
     collision = np.ones(len(point), bool)

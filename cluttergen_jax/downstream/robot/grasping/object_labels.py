@@ -96,7 +96,7 @@ class ObjectLabels(NamedTuple):
 def can_hold(asset: ObjectAsset, robot: RobotDescription) -> bool:
     """Whether fingers can be put about an object anywhere: a quick look, which the test may not bear out."""
     widest = 2 * gripper_of(robot).max_opening - MARGIN
-    pairs = sample_pairs(Union(asset.parts), _NUM_LINES // 6, _rng(asset, 0), widest)
+    pairs = sample_pairs(Union(asset.parts), _NUM_LINES, _rng(asset, 0), widest)
     return len(pairs.width) > 0
 
 

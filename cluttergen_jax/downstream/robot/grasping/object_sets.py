@@ -54,11 +54,13 @@ BY_OBJECT = ("acronym", *SEEN)
 """Formats that label objects."""
 GRASPS_A_POINT = 100
 """GraspNet's 14400 grasps at a point count as so many of `num_object_grasps`."""
+_LEAST_POINTS = 8
 _SIMULATED = 64
 """Of GraspNet's grasps of an object that are good by their contacts, so many are simulated."""
-# Cameras: metres from the middle of the region, times its half diagonal over that of the paper's; radians.
-_FAR = (0.5, 0.8)
-_USUAL_DIAGONAL = 0.46
+_NEAREST = 0.45
+"""Metres of a camera from the middle of the objects."""
+# Times the distance from which all of them are in the picture; radians from the vertical.
+_FARTHER = (1.0, 1.4)
 _TILTS = (0.1, np.pi / 4)
 _SAMPLES = 4
 _LEVEL = 0.002
@@ -124,7 +126,7 @@ class ObjectSets:
     @property
     def num_points(self) -> int:
         """Of GraspNet's labels, on each object."""
-        return max(4, self._number // GRASPS_A_POINT)
+        return max(_LEAST_POINTS, self._number // GRASPS_A_POINT)
 
     def make_objects(self, surface_of: Callable[[ObjectAsset], Mesh], num_threads: int) -> None:
         """Labels the objects, one after the other, and writes their files."""
@@ -342,7 +344,7 @@ class ObjectSets:
 
     def _draw_scene(self, scene: Scene) -> None:
         rng = np.random.default_rng([self._seed, scene.origin.index, 89])
-        places = draw_places(scene.support, self._views, rng)
+        places = draw_places(scene, self._views, rng)
         number = scene.origin.index
         ids = [self.ids[asset.name] for asset in scene.objects]
         noise = REALSENSE.scale(self._noise)
@@ -396,16 +398,19 @@ def table_frame(support: SupportAsset) -> np.ndarray:
     return rigid(yaw_matrix(support.region.yaw), np.array([middle[0], middle[1], support.lowest]))
 
 
-def draw_places(support: SupportAsset, number: int, rng: np.random.Generator) -> list[np.ndarray]:
-    """Poses of cameras around a region f64[4, 4] each, which look at its middle."""
-    middle = support.region_points[0]
-    reach = max(1.0, float(np.linalg.norm(support.region.half_extents)) / _USUAL_DIAGONAL)
+def draw_places(scene: Scene, number: int, rng: np.random.Generator) -> list[np.ndarray]:
+    """Poses of cameras around a scene f64[4, 4] each, from where the pictures show about all objects."""
+    middle = scene.poses[:, :3].mean(0)
+    far = np.linalg.norm(scene.poses[:, :3] - middle, axis=1)
+    reach = float((far + [asset.radius for asset in scene.objects]).max())
+    half_field = graspnet.HEIGHT / 2 / graspnet.INTRINSICS[1][1]
+    least = max(_NEAREST, reach / half_field)
     places = []
     for _ in range(number):
         tilt = rng.uniform(*_TILTS)
         turn = rng.uniform(0, 2 * np.pi)
         away = np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)])
-        eye = middle + rng.uniform(*_FAR) * reach * away
+        eye = middle + rng.uniform(*_FARTHER) * least * away
         places.append(Camera.looking(eye, middle).T_world_camera)
     return places
 
