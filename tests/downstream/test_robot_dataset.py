@@ -253,11 +253,11 @@ def test_threads_and_interruptions_change_nothing(made, bank, tmp_path, monkeypa
     real = grasp_dataset._make_scene
     calls = []
 
-    def stops(out, plan, scene):
+    def stops(out, plan, sets, scene):
         calls.append(scene.origin.index)
         if len(calls) == 2:
             raise KeyboardInterrupt
-        return real(out, plan, scene)
+        return real(out, plan, sets, scene)
 
     monkeypatch.setattr(grasp_dataset, "_make_scene", stops)
     out = tmp_path / "again"

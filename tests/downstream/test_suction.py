@@ -13,6 +13,7 @@ import h5py
 import cluttergen_jax as cg
 from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.downstream.robot.description import RobotDescription
+from cluttergen_jax.downstream.robot.grasping import object_sets
 from cluttergen_jax.downstream.robot.grasping.candidates import Union
 from cluttergen_jax.downstream.robot.grasping.clutter import LiftEnd
 from cluttergen_jax.downstream.robot.grasping.suction import (
@@ -141,7 +142,7 @@ def test_a_cup_is_found_by_name_and_in_a_file(tmp_path):
         find_hand("suctoin")
 
 
-SMALL = {"num_object_grasps": 30, "num_grasps": 10, "num_lifts": 4, "views": 1}
+SMALL = {"num_object_grasps": 30, "num_grasps": 10, "num_lifts": 4, "views": 1, "noise": 0}
 
 
 @pytest.fixture(scope="module")
@@ -153,7 +154,9 @@ def bank(tmp_path_factory):
 def made(bank, tmp_path_factory):
     out = tmp_path_factory.mktemp("sets") / "cups"
     formats = ["vgn", "acronym", "graspnet"]
-    return cg.robot.dataset(bank.path, out, format=formats, robot="suction", **SMALL)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(object_sets, "_SAMPLES", 1)
+        return cg.robot.dataset(bank.path, out, format=formats, robot="suction", **SMALL)
 
 
 def test_labels_of_a_cup_are_those_of_its_own_rules(made, bank):

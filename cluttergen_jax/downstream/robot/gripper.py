@@ -77,6 +77,14 @@ class Gripper:
         """f64[...]: metres that the pads are before the tool's origin, so far apart."""
         return np.interp(np.asarray(width) / 2, self.opening, self.depth)
 
+    def side_of(self, width: np.ndarray | float) -> np.ndarray:
+        """f64[...]: metres along the tool's y from its axis to the middle between the pads, so far apart."""
+        return np.zeros_like(np.asarray(width, np.float64))
+
+    def shift_of(self, width: np.ndarray | float) -> np.ndarray:
+        """f64[...]: metres along the tool's y from its axis to the middle of what the hand comes to."""
+        return np.zeros_like(np.asarray(width, np.float64))
+
     def measure(self, joints: np.ndarray) -> float:
         """Metres that each pad is from the middle at joints f64[k]."""
         drive = self.joints[:, self.driven].mean(1)

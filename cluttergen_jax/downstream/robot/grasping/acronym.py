@@ -3,7 +3,7 @@
 Eppner et al., "ACRONYM: A Large-Scale Grasp Dataset Based on Simulation", ICRA 2021, and `acronym_tools`;
 Sundermeyer et al., "Contact-GraspNet", ICRA 2021, and its code. Their frame of a grasp is the root of the
 Panda's hand: z the approach, x the direction in which the fingers close, the middle of the pads `DEPTH` ahead
-of it. Any other hand is put so that its tool is there.
+of it. Any other hand is put so that the middle of its open pads is there.
 
 meshes/KIND/ID.obj              one mesh of each object, as small as its vertices allow
 grasps/KIND_ID_1.0.h5           ACRONYM's file of an object
@@ -88,7 +88,7 @@ def _words(text: str) -> list[str]:
 
 
 def grasp_frame(pose: np.ndarray) -> np.ndarray:
-    """f64[..., 4, 4]: their grasps of tools at f64[..., 4, 4], in the same frame."""
+    """f64[..., 4, 4]: their grasps where the open pads' middle is at f64[..., 4, 4], axes as a tool's."""
     return shift_along(pose, (0.0, 0.0, -DEPTH)) @ _TURN
 
 
@@ -131,7 +131,7 @@ def write_grasps(
         def put(name: str, value: Any) -> None:
             file.create_dataset(name, data=value, track_times=False)
 
-        put("grasps/transforms", grasp_frame(labels.pose))
+        put("grasps/transforms", grasp_frame(labels.pads))
         flex = "grasps/qualities/flex"
         put(f"{flex}/object_in_gripper", labels.is_held.astype(np.int64))
         put(f"{flex}/object_motion_during_closing_linear", labels.shift)
@@ -182,12 +182,12 @@ def write_mesh_contacts(
       opening: metres between the pads, open.
     """
     rows = contact_rows(labels)
-    axis = labels.pose[rows, :3, 1]
-    middle = labels.pose[rows, :3, 3]
+    axis = labels.pads[rows, :3, 1]
+    middle = labels.pads[rows, :3, 3]
     directions = np.stack([-axis, axis], axis=1)
     starts = middle[:, None] - directions * opening / 2
     points = labels.points[rows]
-    grasps = grasp_frame(labels.pose[rows])
+    grasps = grasp_frame(labels.pads[rows])
     grasps[:, :3, 3] -= mean
     _write_npz(
         root / f"mesh_contacts/{names.stem}.npz",
@@ -247,7 +247,7 @@ def write_scene_contacts(
         mean = means[asset.name]
         chosen = found.held[row][found.is_free[row]]
         label = labels[asset.name]
-        grasps.append(T @ grasp_frame(label.pose[chosen]))
+        grasps.append(T @ grasp_frame(label.pads[chosen]))
         contacts.append(label.points[chosen] @ T[:3, :3].T + T[:3, 3])
         ends.append(sum(len(each) for each in grasps))
         paths.append(names[asset.name].mesh)

@@ -181,8 +181,18 @@ def _setup(opening: float) -> dict[str, Any]:
     }
 
 
-def grasp_numbers(pose: np.ndarray, T_world_task: np.ndarray) -> np.ndarray:
-    """f64[C, 7]: qx, qy, qz, qw, x, y, z of their tool frame in the task's, of T_world_tool f64[C, 4, 4]."""
+def grasp_numbers(
+    pose: np.ndarray, width: np.ndarray, hand: Hand, T_world_task: np.ndarray
+) -> np.ndarray:
+    """f64[C, 7]: qx, qy, qz, qw, x, y, z of their tool frame in the task's, of T_world_tool f64[C, 4, 4].
+
+    Args:
+      width: f64[C], metres between the pads: where one of them stands still, the middle is beside the tool.
+    """
+    if not isinstance(hand, SuctionCup):
+        side = gripper_of(hand).side_of(width)
+        pose = pose.copy()
+        pose[:, :3, 3] += side[:, None] * pose[:, :3, 1]
     return _numbers(inverse(T_world_task) @ shift_along(pose, (0.0, 0.0, -FINGER_DEPTH)))
 
 
@@ -376,7 +386,7 @@ def make(
         finally:
             pool.shutdown(cancel_futures=True)
         sets.draw_scenes(scenes)
-        return _finish(out, scenes, sets, recipe, _opening(plan.robot))
+        return _finish(out, scenes, sets, recipe, plan.robot)
 
 
 def _opening(robot: Hand) -> float:
@@ -457,7 +467,7 @@ def _make_scene(out: Path, plan: GraspPlan, sets: ObjectSets, scene: Scene) -> s
     if "giga" in plan.format:
         _write_giga(out, scene, T_world_task, plan.seed)
     sets.make_scene(scene, still)
-    numbers = grasp_numbers(grasps.pose, T_world_task)
+    numbers = grasp_numbers(grasps.pose, grasps.width, hand, T_world_task)
     table = _table(scene, grasps, labelled.blocked_by, lifts, is_inside(numbers))
     counts = {"drawn": str(labelled.num_drawn), "free": str(labelled.num_free)}
     _write_table(out / _part_name(scene), table.replace_schema_metadata(counts))
@@ -546,7 +556,7 @@ def _finish(
     scenes: Sequence[Scene],
     sets: ObjectSets,
     recipe: dict[str, Any],
-    opening: float,
+    hand: Hand,
 ) -> GraspDataset:
     """Joins what the scenes have: the tables of all formats, and the card."""
     parts = [pq.read_table(out / _part_name(scene)) for scene in scenes]
@@ -558,7 +568,7 @@ def _finish(
     _write_table(out / GRASPS, whole)
     num_csv = 0
     if not _OF_CUBE.isdisjoint(recipe["format"]):
-        num_csv = _write_cubes(out, scenes, parts, recipe["num_lifts"], opening)
+        num_csv = _write_cubes(out, scenes, parts, recipe["num_lifts"], hand)
     lifts = Counter(each for each in whole["lift"].to_pylist() if each is not None)
     made = GraspDataset(
         out,
@@ -574,15 +584,15 @@ def _finish(
 
 
 def _write_cubes(
-    out: Path, scenes: Sequence[Scene], parts: Sequence[pa.Table], num_lifts: int, opening: float
+    out: Path, scenes: Sequence[Scene], parts: Sequence[pa.Table], num_lifts: int, hand: Hand
 ) -> int:
     """Writes the tables of VGN and GIGA; how many rows each has."""
-    setup = json.dumps(_setup(opening), indent=4) + "\n"
+    setup = json.dumps(_setup(_opening(hand)), indent=4) + "\n"
     write_atomically(out / "raw/setup.json", setup.encode())
     raw = [CSV]
     voxels = [VOXEL_CSV]
     for scene, part in zip(scenes, parts, strict=True):
-        rows = _labelled_rows(part, num_lifts, task_frame(scene.support))
+        rows = _labelled_rows(part, num_lifts, hand, task_frame(scene.support))
         raw += csv_lines(scene_id(scene), *rows, 1.0)
         voxels += csv_lines(scene_id(scene), *rows, CUBE / RESOLUTION)
     write_atomically(out / "raw/grasps.csv", ("\n".join(raw) + "\n").encode())
@@ -591,7 +601,7 @@ def _write_cubes(
 
 
 def _labelled_rows(
-    part: pa.Table, num_lifts: int, T_world_task: np.ndarray
+    part: pa.Table, num_lifts: int, hand: Hand, T_world_task: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Numbers f64[C, 7], widths f64[C] and labels bool[C] of the candidates that VGN's files have.
 
@@ -606,7 +616,9 @@ def _labelled_rows(
     pose = matrix_of(np.array(part["pose"].to_pylist(), np.float64).reshape(-1, 7))
     final = np.array(part["lifted_width"].to_pylist(), np.float64)
     width = np.where(np.isfinite(final), final, part["width"].to_numpy())
-    return grasp_numbers(pose, T_world_task)[chosen], width[chosen], label[chosen].astype(bool)
+    # As wide as it was when it came: what is in the cube was decided by that.
+    numbers = grasp_numbers(pose, part["width"].to_numpy(), hand, T_world_task)
+    return numbers[chosen], width[chosen], label[chosen].astype(bool)
 
 
 def _card(

@@ -119,9 +119,14 @@ def pad_poses(
 
 
 def tool_poses(pads: np.ndarray, width: np.ndarray, robot: RobotDescription) -> np.ndarray:
-    """f64[L, 4, 4]: T_object_tool where the pads' middle is at f64[L, 4, 4] once they are f64[L] apart."""
+    """f64[L, 4, 4]: T_object_tool where the pads' middle is at f64[L, 4, 4] once they are f64[L] apart.
+
+    A jaw that stands still keeps off what the hand comes to (`Gripper.shift_of`).
+    """
+    gripper = gripper_of(robot)
     tools = pads.copy()
-    tools[:, :3, 3] -= gripper_of(robot).depth_of(width)[:, None] * pads[:, :3, 2]
+    tools[:, :3, 3] -= gripper.depth_of(width)[:, None] * pads[:, :3, 2]
+    tools[:, :3, 3] -= gripper.shift_of(width)[:, None] * pads[:, :3, 1]
     return tools
 
 

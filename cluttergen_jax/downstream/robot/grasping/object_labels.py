@@ -24,7 +24,7 @@ from cluttergen_jax.downstream.robot.grasping.candidates import (
     sample_pairs,
 )
 from cluttergen_jax.downstream.robot.grasping.grasp_check import check_grasps
-from cluttergen_jax.downstream.robot.gripper import gripper_of
+from cluttergen_jax.downstream.robot.gripper import Gripper, gripper_of
 from cluttergen_jax.downstream.transforms import rigid
 
 _NUM_LINES = 6000
@@ -70,7 +70,8 @@ class ObjectLabels(NamedTuple):
     """G grasps of one object, object frame, failures among them.
 
     Attributes:
-      pose: f64[G, 4, 4], T_object_tool.
+      pose: f64[G, 4, 4], T_object_tool. pads: the same with the middle of the open pads as its origin; of a
+        suction cup of its rim.
       points, normals: f64[G, 2, 3], where the closing fingers meet the object, as of `FingerContacts`; of a
         suction cup twice the middle of its rim.
       friction: f64[G], the coefficient that the contacts need; inf without two.
@@ -81,6 +82,7 @@ class ObjectLabels(NamedTuple):
     """
 
     pose: np.ndarray
+    pads: np.ndarray
     points: np.ndarray
     normals: np.ndarray
     friction: np.ndarray
@@ -103,6 +105,14 @@ def can_hold(asset: ObjectAsset, robot: RobotDescription) -> bool:
 def sliding_friction(asset: ObjectAsset) -> float:
     """The sliding coefficient between an object and a hand."""
     return ContactConfig().friction[0] if asset.friction is None else asset.friction
+
+
+def pads_of(pose: np.ndarray, width: np.ndarray | float, gripper: Gripper) -> np.ndarray:
+    """f64[G, 4, 4]: the middle between pads that are metres f64[G] apart, of tools at f64[G, 4, 4]."""
+    moved = pose.copy()
+    moved[:, :3, 3] += np.broadcast_to(gripper.depth_of(width), len(pose))[:, None] * pose[:, :3, 2]
+    moved[:, :3, 3] += np.broadcast_to(gripper.side_of(width), len(pose))[:, None] * pose[:, :3, 1]
+    return moved
 
 
 def closing_contacts(
@@ -166,10 +176,8 @@ def label_object(
     widest = 2 * gripper.max_opening
     union = Union(asset.parts)
     pose, is_free = _draw_poses(asset, union, number, robot, rng)
-    depth = gripper.depth_of(widest)
-    contacts = closing_contacts(
-        union, pose[:, :3, 3] + depth * pose[:, :3, 2], pose[:, :3, 1], widest / 2
-    )
+    pads = pads_of(pose, widest, gripper)
+    contacts = closing_contacts(union, pads[:, :3, 3], pads[:, :3, 1], widest / 2)
     is_held = np.zeros(len(pose), bool)
     measured = {name: np.full(len(pose), np.nan) for name in ("shift", "slip", "turn", "margin")}
     # Of what is not between the fingers none is held.
@@ -183,6 +191,7 @@ def label_object(
             values[rows] = getattr(test, name)
     return ObjectLabels(
         pose,
+        pads,
         contacts.points,
         contacts.normals,
         contacts.friction,

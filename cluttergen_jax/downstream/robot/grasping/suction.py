@@ -279,6 +279,7 @@ def label_cups(asset: ObjectAsset, number: int, seed: int, cup: SuctionCup) -> O
     unknown = np.full(len(pose), np.nan)
     return ObjectLabels(
         pose,
+        pose.copy(),
         np.stack([points, points], axis=1),
         np.stack([normals, normals], axis=1),
         np.full(len(pose), np.inf),
