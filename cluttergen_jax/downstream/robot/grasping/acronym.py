@@ -26,6 +26,7 @@ import numpy as np
 import trimesh
 
 from cluttergen_jax.assets import Mesh, ObjectAsset
+from cluttergen_jax.downstream.robot.grasping.arrays import write_npz
 from cluttergen_jax.downstream.robot.grasping.object_labels import ObjectLabels, sliding_friction
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, rigid, shift_along
 from cluttergen_jax.errors import MissingExtraError
@@ -103,7 +104,7 @@ def write_mesh(path: Path, mesh: Mesh) -> np.ndarray:
     lines += [f"f {a} {b} {c}" for a, b, c in merged.faces + 1]
     data = ("\n".join(lines) + "\n").encode()
     write_atomically(path, data)
-    read = trimesh.load(io.BytesIO(data), file_type="obj")
+    read = trimesh.load_mesh(io.BytesIO(data), file_type="obj")
     return np.asarray(read.vertices, np.float64).mean(0)
 
 
@@ -189,7 +190,7 @@ def write_mesh_contacts(
     points = labels.points[rows]
     grasps = grasp_frame(labels.pads[rows])
     grasps[:, :3, 3] -= mean
-    _write_npz(
+    write_npz(
         root / f"mesh_contacts/{names.stem}.npz",
         collisions=np.zeros(len(rows), np.int64),
         valid_locations=np.ones(len(rows), np.int64),
@@ -256,7 +257,7 @@ def write_scene_contacts(
         paths.append(support[0].mesh)
         transforms.append(shift_along(found.T_contact_world, support[1]))
         ends.append(ends[-1] if ends else 0)
-    _write_npz(
+    write_npz(
         root / f"scene_contacts/{scene.origin.index:06d}.npz",
         obj_paths=np.array(paths),
         obj_transforms=np.array(transforms),
@@ -276,7 +277,7 @@ def write_view(
 
     Of the colours blue comes first, as they read them.
     """
-    _write_npz(
+    write_npz(
         root / f"scene_views/{stem}.npz",
         depth=depth.astype(np.float32),
         rgb=np.ascontiguousarray(rgb[..., ::-1]),
@@ -288,9 +289,3 @@ def write_view(
 def support_names(name: str) -> FileNames:
     """The files' names of a support."""
     return FileNames(_SUPPORT_KIND, "-".join(_words(name)) or "support")
-
-
-def _write_npz(path: Path, **arrays: Any) -> None:
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)
-    write_atomically(path, buffer.getvalue())

@@ -35,6 +35,7 @@ import pyarrow.parquet as pq
 from cluttergen_jax.assets import Mesh, ObjectAsset, SupportAsset, join_meshes, mesh_text
 from cluttergen_jax.downstream.noise import REALSENSE, noisy
 from cluttergen_jax.downstream.robot.grasping.acronym import DEPTH, TABLE_TOP, check_installed
+from cluttergen_jax.downstream.robot.grasping.arrays import write_npz
 from cluttergen_jax.downstream.robot.grasping.candidates import Union
 from cluttergen_jax.downstream.robot.grasping.clutter import (
     FINGER_DEPTH,
@@ -217,12 +218,6 @@ def csv_lines(
 def _numbers(matrix: np.ndarray) -> np.ndarray:
     """f64[..., 7]: poses f64[..., 4, 4] as x, y, z, w of a quaternion, then the position."""
     return pose_of(matrix)[..., [4, 5, 6, 3, 0, 1, 2]]
-
-
-def _write_npz(path: Path, **arrays: Any) -> None:
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)
-    write_atomically(path, buffer.getvalue())
 
 
 def _write_table(path: Path, table: pa.Table) -> None:
@@ -490,12 +485,12 @@ def _write_scene(
     images = [np.where(np.isfinite(each), each, 0.0) for each in depths]
     grid = tsdf_grid(depths, cameras, T_world_task)
     name = f"{scene_id(scene)}.npz"
-    _write_npz(
+    write_npz(
         out / "raw/scenes" / name,
         depth_imgs=np.array(images, np.float32),
         extrinsics=np.array(extrinsics, np.float32),
     )
-    _write_npz(out / "voxels/scenes" / name, grid=grid)
+    write_npz(out / "voxels/scenes" / name, grid=grid)
 
 
 def _write_giga(out: Path, scene: Scene, T_world_task: np.ndarray, seed: int) -> None:
@@ -506,7 +501,7 @@ def _write_giga(out: Path, scene: Scene, T_world_task: np.ndarray, seed: int) ->
     meshes = np.empty((len(scene.names), 3), object)
     for row, asset, pose in zip(meshes, scene.objects, placed, strict=True):
         row[:] = _mesh_name(asset.name), 1.0, pose
-    _write_npz(out / f"raw/mesh_pose_list/{scene_id(scene)}.npz", pc=meshes)
+    write_npz(out / f"raw/mesh_pose_list/{scene_id(scene)}.npz", pc=meshes)
     corners = np.concatenate(
         [
             asset.vertices @ pose[:3, :3].T + pose[:3, 3]
@@ -522,7 +517,7 @@ def _write_giga(out: Path, scene: Scene, T_world_task: np.ndarray, seed: int) ->
         local = (points.astype(np.float64) - pose[:3, 3]) @ pose[:3, :3]
         near = np.flatnonzero((np.abs(local) <= asset.half_extents + 1e-6).all(1))
         is_inside_any[near] |= Union(asset.parts).distance(local[near]) < 0
-    _write_npz(out / f"raw/occ/{scene_id(scene)}/0000.npz", points=points, occ=is_inside_any)
+    write_npz(out / f"raw/occ/{scene_id(scene)}/0000.npz", points=points, occ=is_inside_any)
 
 
 def _table(
@@ -665,7 +660,9 @@ def _card(
         facts["objects without a grasp"] = ", ".join(made.lacking) or "none"
     tried = np.concatenate([np.zeros(0, bool), *sets.simulated])
     if len(tried):
-        facts["GraspNet's good ones, simulated"] = f"{tried.sum()} of {len(tried)} hold"
+        facts["GraspNet's, good at the object's friction, simulated"] = (
+            f"{tried.sum()} of {len(tried)} hold"
+        )
     texts = dict.fromkeys(_FILES[each] for each in made.format)
     files = "\n\n".join(["## Files", *texts, *([_CUP] if _is_cup(recipe) else [])])
     lines = "\n".join(f"- {name}: {value}" for name, value in facts.items())

@@ -28,6 +28,7 @@ from scipy.io import savemat
 
 from cluttergen_jax.assets import Mesh, ObjectAsset, mesh_text
 from cluttergen_jax.downstream.robot.description import RobotDescription
+from cluttergen_jax.downstream.robot.grasping.arrays import write_npy, write_npz
 from cluttergen_jax.downstream.robot.grasping.candidates import HandCheck, Union, pads_cover
 from cluttergen_jax.downstream.robot.grasping.object_labels import closing_contacts
 from cluttergen_jax.downstream.robot.gripper import gripper_of
@@ -176,8 +177,8 @@ def write_model(root: Path, number: int, asset: ObjectAsset, surface: Mesh) -> N
         merged.vertices, merged.faces, _MESH_EDGE, max_iter=12
     )
     fine = trimesh.Trimesh(vertices, faces, process=True)
-    ply = fine.export(file_type="ply")
-    write_atomically(folder / "nontextured.ply", ply if isinstance(ply, bytes) else ply.encode())
+    ply = trimesh.exchange.ply.export_ply(fine)
+    write_atomically(folder / "nontextured.ply", ply)
     write_atomically(folder / "textured.obj", mesh_text(surface).encode())
     write_atomically(folder / "textured.sdf", _sdf_text(asset, surface).encode())
 
@@ -202,14 +203,14 @@ def write_labels(root: Path, number: int, labels: DenseLabels, simulated: np.nda
       simulated: i8[P, V, A, D], 1 where it held in simulation, 0 where it did not, -1 where it was not tried.
         graspnetAPI does not read it.
     """
-    _write_npz(
+    write_npz(
         root / f"grasp_label/{number:03d}_labels.npz", **labels._asdict(), simulated=simulated
     )
 
 
 def write_collisions(root: Path, number: int, masks: Sequence[np.ndarray]) -> None:
     """Writes which grasps of the objects of a scene touch something there, bool[P, V, A, D] each."""
-    _write_npz(
+    write_npz(
         root / f"collision_label/{scene_name(number)}/collision_labels.npz",
         **{f"arr_{k}": each for k, each in enumerate(masks)},
     )
@@ -239,11 +240,11 @@ def write_scene(
     folder = root / "scenes" / scene_name(number)
     place = folder / CAMERA
     write_atomically(folder / "object_id_list.txt", "".join(f"{each}\n" for each in ids).encode())
-    _write_npy(folder / "rs_wrt_kn.npy", np.eye(4))
+    write_npy(folder / "rs_wrt_kn.npy", np.eye(4))
     first = cameras[0].T_world_camera
-    _write_npy(place / "camK.npy", np.array(INTRINSICS))
-    _write_npy(place / "cam0_wrt_table.npy", inverse(T_world_table) @ first)
-    _write_npy(
+    write_npy(place / "camK.npy", np.array(INTRINSICS))
+    write_npy(place / "cam0_wrt_table.npy", inverse(T_world_table) @ first)
+    write_npy(
         place / "camera_poses.npy",
         np.stack([inverse(first) @ each.T_world_camera for each in cameras]),
     )
@@ -303,15 +304,3 @@ def write_images(
         buffer = io.BytesIO()
         Image.fromarray(image).save(buffer, "PNG")
         write_atomically(place / f"{name}/{view:04d}.png", buffer.getvalue())
-
-
-def _write_npz(path: Path, **arrays: np.ndarray) -> None:
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)
-    write_atomically(path, buffer.getvalue())
-
-
-def _write_npy(path: Path, array: np.ndarray) -> None:
-    buffer = io.BytesIO()
-    np.save(buffer, array)
-    write_atomically(path, buffer.getvalue())

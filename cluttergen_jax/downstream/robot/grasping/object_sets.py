@@ -5,7 +5,6 @@ An object is labelled once for all of them; a scene then tells which of its gras
 
 from __future__ import annotations
 
-import io
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,12 +17,14 @@ from cluttergen_jax.assets import Mesh, ObjectAsset, SupportAsset, join_meshes
 from cluttergen_jax.downstream.noise import REALSENSE, noisy
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping import acronym, graspnet
+from cluttergen_jax.downstream.robot.grasping.arrays import write_npz
 from cluttergen_jax.downstream.robot.grasping.candidates import GraspCandidates, Union
 from cluttergen_jax.downstream.robot.grasping.clutter import StillScene
 from cluttergen_jax.downstream.robot.grasping.grasp_check import check_grasps
 from cluttergen_jax.downstream.robot.grasping.object_labels import (
     ObjectLabels,
     label_object,
+    sliding_friction,
 )
 from cluttergen_jax.downstream.robot.grasping.suction import (
     STRETCH,
@@ -204,23 +205,27 @@ class ObjectSets:
         names = self.names[asset.name]
         if isinstance(hand, SuctionCup):
             labels = label_cups(asset, self._number, self._seed, hand)
-            told = {"type": hand.name, "configuration": [hand.radius]}
+            joints = np.array([hand.radius])
         else:
             labels = label_object(asset, self._number, self._seed, hand, pool)
             gripper = gripper_of(hand)
             joints = gripper.joints_of(gripper.max_opening)[gripper.driven]
-            told = {"type": hand.name, "configuration": np.unique(joints.round(9))}
+        told = {
+            "type": hand.name,
+            "configuration": np.unique(joints.round(9)),
+            "opening": self._opening(),
+        }
         mean = np.zeros(3)
         simulated = np.zeros(0, bool)
         if self.has_acronym:
             root = self._root(ACRONYM_FOLDER)
             mean = acronym.write_mesh(root / names.mesh, surface)
-            acronym.write_grasps(root, names, asset, labels, {**told, "opening": self._opening()})
+            acronym.write_grasps(root, names, asset, labels, told)
             if "contact_graspnet" in self._formats:
                 acronym.write_mesh_contacts(root, names, labels, mean, self._opening())
         if "graspnet" in self._formats:
             simulated = self._write_dense(asset, surface, pool)
-        _write_npz(self._part(asset), mean=mean, simulated=simulated, **labels._asdict())
+        write_npz(self._part(asset), mean=mean, simulated=simulated, **labels._asdict())
 
     def _read_object(self, asset: ObjectAsset) -> None:
         with np.load(self._part(asset)) as kept:
@@ -229,7 +234,7 @@ class ObjectSets:
             self.simulated.append(kept["simulated"])
 
     def _write_dense(self, asset: ObjectAsset, surface: Mesh, pool: Rollout) -> np.ndarray:
-        """Writes GraspNet's files of an object; bool[S], of those that were simulated which held."""
+        """Writes GraspNet's files of an object; bool[S], of those simulated that should hold which did."""
         root = self._root(GRASPNET_FOLDER)
         number = self.ids[asset.name]
         graspnet.write_model(root, number, asset, surface)
@@ -249,14 +254,16 @@ class ObjectSets:
         simulated = np.full(labels.scores.size, -1, np.int8)
         simulated[dense.rows[tried]] = held
         graspnet.write_labels(root, number, labels, simulated.reshape(labels.scores.shape))
-        return held
+        # What needs more friction than the object has is not said to hold.
+        needed = labels.scores.ravel()[dense.rows[tried]]
+        return held[needed <= sliding_friction(asset) + 1e-6]
 
     def _write_seals(self, root: Path, number: int, asset: ObjectAsset, cup: SuctionCup) -> None:
         rng = np.random.default_rng([self._seed, number, 88])
         union = Union(asset.parts)
         poses = surface_poses(union, self._number, rng)
         score = np.clip(1 - rim_stretch(union, poses, cup) / STRETCH, 0, 1)
-        _write_npz(
+        write_npz(
             root / f"seal_label/{number:03d}_seal.npz",
             points=poses[:, :3, 3],
             normals=-poses[:, :3, 2],
@@ -279,7 +286,7 @@ class ObjectSets:
             (f"wrench_label/{name}_wrench.npz", wrenches),
             (f"suction_collision_label/{name}_collision.npz", masks),
         ):
-            _write_npz(root / path, **{f"arr_{k}": each for k, each in enumerate(arrays)})
+            write_npz(root / path, **{f"arr_{k}": each for k, each in enumerate(arrays)})
 
     def _masks(self, scene: Scene, row: int, still: StillScene | StillCups) -> np.ndarray:
         """bool[P, V, A, D]: what touches something in the scene, or is not good by itself."""
@@ -413,9 +420,3 @@ def draw_places(scene: Scene, number: int, rng: np.random.Generator) -> list[np.
         eye = middle + rng.uniform(*_FARTHER) * least * away
         places.append(Camera.looking(eye, middle).T_world_camera)
     return places
-
-
-def _write_npz(path: Path, **arrays: np.ndarray) -> None:
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)
-    write_atomically(path, buffer.getvalue())
