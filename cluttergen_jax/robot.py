@@ -24,12 +24,14 @@ if TYPE_CHECKING:
         read_robot,
     )
     from cluttergen_jax.downstream.robot.grasping.pads import set_pads
+    from cluttergen_jax.downstream.robot.grasping.suction import SuctionCup
 
 __all__ = [
     "RandomizationConfig",
     "Recording",
     "RobotDescription",
     "RobotWorld",
+    "SuctionCup",
     "check",
     "clear_clutter",
     "dataset",
@@ -54,6 +56,7 @@ __getattr__, __dir__ = name_space(
         "RobotWorld": "downstream.environments.world:RobotWorld",
         "check": "downstream.robot.api:robot_check",
         "clear_clutter": "downstream.robot.api:clear_clutter",
+        "SuctionCup": "downstream.robot.grasping.suction:SuctionCup",
         "dataset": "downstream.robot.api:grasp_dataset",
         "grasps": "downstream.robot.api:robot_grasps",
         "list_robots": "downstream.robot.description:list_robots",

@@ -22,6 +22,7 @@ RobotObserver = Literal["true", "perception"]
 RecordFormat = Literal["lerobot", "robomimic"]
 GraspRule = Literal["vgn", "strict"]
 PadSource = Literal["scene", "model", "robosuite", "maniskill"]
+GraspFormat = Literal["vgn", "giga", "acronym", "contact_graspnet", "graspnet"]
 
 MAX_PAIRS = 10_000_000
 """Of a split of a data set: a larger number is a slip of the hand."""

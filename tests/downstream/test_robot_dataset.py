@@ -222,12 +222,14 @@ def test_all_formats_hold_the_same_grasps(made):
 
 def test_what_was_seen_fits_to_where_it_was_seen_from(made, bank):
     for scene in range(3):
-        raw = np.load(made.path / f"raw/scenes/{scene:06d}.npz")
+        raw = np.load(made.path / f"raw/scenes/scene_{scene:06d}.npz")
         assert raw["depth_imgs"].shape == (2, grasp_dataset.HEIGHT, grasp_dataset.WIDTH)
-        grid = np.load(made.path / f"voxels/scenes/{scene:06d}.npz")["grid"]
+        grid = np.load(made.path / f"voxels/scenes/scene_{scene:06d}.npz")["grid"]
         assert grid.shape == (1, 40, 40, 40)
         assert 0 < grid.max() < 1
-        meshes = np.load(made.path / f"raw/mesh_pose_list/{scene:06d}.npz", allow_pickle=True)["pc"]
+        meshes = np.load(
+            made.path / f"raw/mesh_pose_list/scene_{scene:06d}.npz", allow_pickle=True
+        )["pc"]
         for file, scale, pose in meshes:
             assert (made.path / file).is_file()
             assert scale == 1.0
@@ -251,11 +253,11 @@ def test_threads_and_interruptions_change_nothing(made, bank, tmp_path, monkeypa
     real = grasp_dataset._make_scene
     calls = []
 
-    def stops(out, plan, scene):
+    def stops(out, plan, sets, scene):
         calls.append(scene.origin.index)
         if len(calls) == 2:
             raise KeyboardInterrupt
-        return real(out, plan, scene)
+        return real(out, plan, sets, scene)
 
     monkeypatch.setattr(grasp_dataset, "_make_scene", stops)
     out = tmp_path / "again"
@@ -268,7 +270,7 @@ def test_threads_and_interruptions_change_nothing(made, bank, tmp_path, monkeypa
         "grasps.parquet",
         "raw/grasps.csv",
         "voxels/grasps.csv",
-        "voxels/scenes/000002.npz",
+        "voxels/scenes/scene_000002.npz",
     ):
         first, second = ((folder / name).read_bytes() for folder in (made.path, out))
         assert first == second, name

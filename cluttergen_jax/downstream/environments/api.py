@@ -249,7 +249,7 @@ def _impl_of(impl: MjxImpl) -> str:
     return chosen
 
 
-def _check_number(name: str, value: object, least: float, most: float) -> None:
+def _check_number(name: str, value: Any, least: float, most: float) -> None:
     """Refuses what is no number from `least` to `most`; None is let through (ConfigError)."""
     is_number = isinstance(value, Real) and not isinstance(value, bool)
     if value is not None and not (is_number and least <= value <= most):

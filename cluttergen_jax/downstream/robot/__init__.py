@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.robot.grasping.grasp_dataset import GraspDataset
     from cluttergen_jax.downstream.robot.grasping.grasps import GraspFinder, Grasps, GraspSets
     from cluttergen_jax.downstream.robot.grasping.grips import FIRM, first_grasp, rank_grasps
+    from cluttergen_jax.downstream.robot.grasping.suction import SuctionCup
     from cluttergen_jax.downstream.robot.model import base_pose
     from cluttergen_jax.downstream.robot.motion.collision import ROOM, ROOMS, Mode, PlanningWorld
     from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase, Trace
@@ -51,6 +52,7 @@ __getattr__, __all__ = offer(
         "grasping.grasp_dataset": ("GraspDataset",),
         "grasping.grasps": ("GraspFinder", "GraspSets", "Grasps"),
         "grasping.grips": ("FIRM", "first_grasp", "rank_grasps"),
+        "grasping.suction": ("SuctionCup",),
         "model": ("base_pose",),
         "motion.collision": ("Mode", "PlanningWorld", "ROOM", "ROOMS"),
         "motion.execute": ("Execution", "Phase", "Trace"),

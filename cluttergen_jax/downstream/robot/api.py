@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast, get_args
 
 from cluttergen_jax import SceneSpec
 from cluttergen_jax.config import FilmFormat, Method, check_names, check_range, check_workers
 from cluttergen_jax.downstream.words import (
+    GraspFormat,
     GraspRule,
     PadSource,
     RecordFormat,
@@ -32,10 +33,12 @@ if TYPE_CHECKING:
         RobotCheck,
         RobotDescription,
         RobotTrials,
+        SuctionCup,
     )
     from cluttergen_jax.downstream.robot.grasping.rounds import ClutterProposer, ClutterRounds
 
 _MOST_GRASPS = 4096
+_MOST_OBJECT_GRASPS = 100_000
 _MOST_SEED = 999_999
 _MOST_VIEWS = 64
 _MOST_EPISODES = 1_000_000
@@ -245,7 +248,6 @@ def robot_place(
     """
     from dataclasses import replace
     from functools import partial
-    from typing import Any
 
     from cluttergen_jax import generate
     from cluttergen_jax.assets import find_support
@@ -379,7 +381,9 @@ def grasp_dataset(
     bank: str | Path,
     out: str | Path = "grasp-dataset",
     *,
-    robot: str | Path | RobotDescription = "panda",
+    format: Sequence[GraspFormat] = ("vgn", "giga"),
+    robot: str | Path | RobotDescription | SuctionCup = "panda",
+    num_object_grasps: int = 2000,
     num_grasps: int = 120,
     num_lifts: int | None = None,
     views: int = 6,
@@ -392,13 +396,19 @@ def grasp_dataset(
 
     Of each scene that stands, depth images with noise, a volume of truncated signed distances, and candidates
     for the hand of a robot: whether each is free in the clutter, and whether it lifts an object, in
-    MuJoCo with everything awake. Failures are kept. Written as Parquet with a card, and as the files of VGN
-    and GIGA. The same call takes up an interrupted one.
+    MuJoCo with everything awake. Failures are kept. Written as Parquet with a card, and as files that other
+    projects' training code opens. The same call takes up an interrupted one.
 
     Args:
       bank: the bank's folder: tables, shelves, bins, piles.
       out: the folder.
-      robot: whose hand: a name of `cluttergen list`, or the YAML file of one of your own.
+      format: of which projects files are written, one or more: "vgn", "giga" (scenes as volumes); "acronym"
+        (objects by themselves, HDF5: extra `record`), "contact_graspnet" (with ACRONYM's files: contacts in
+        scenes, pictures), "graspnet" (GraspNet-1Billion's layout; of a suction cup SuctionNet-1Billion's).
+      robot: whose hand: a name of `cluttergen list`, or the YAML file of one of your own; or a suction cup:
+        "suction", a YAML file, or a `SuctionCup`.
+      num_object_grasps: candidates of each object by itself, for the last three formats, half of them free
+        where so many are found; GraspNet's labels have a point of the object for every 100.
       num_grasps: candidates kept of each scene, half of them free where so many are found.
       num_lifts: so many of a scene's free ones are executed; all if not given, 0 for none.
       views: pictures of each scene.
@@ -411,18 +421,26 @@ def grasp_dataset(
       The dataset; printed, it tells what there is.
 
     Raises:
-      ConfigError: a number is out of range, or the robot is none.
+      ConfigError: a number is out of range, a format is unknown or not for this hand, the robot is none, or
+        its hand can hold none of the bank's objects.
       BankError: there is no bank, none of its scenes stands, or the folder holds something else.
-      MissingExtraError: the extra `robot` is not installed.
+      MissingExtraError: the extra `robot` is not installed, or `record` for "acronym".
+      RendererError: a format has pictures, and nothing here can draw.
     """
     import os
 
-    from cluttergen_jax.downstream.robot.check import usable_robot
     from cluttergen_jax.downstream.robot.grasping.grasp_dataset import GraspPlan, make
+    from cluttergen_jax.downstream.robot.grasping.suction import find_hand
     from cluttergen_jax.scene import bank_folder
 
     check_folder(out)
     check_workers("num_threads", num_threads)
+    check_names(format, "format")
+    for each in format:
+        check_choice("format", each, GraspFormat)
+    if not format:
+        raise ConfigError("format = ()", f"one or more of {', '.join(get_args(GraspFormat))}")
+    check_range("num_object_grasps", num_object_grasps, 1, _MOST_OBJECT_GRASPS, 2000)
     check_range("num_grasps", num_grasps, 1, _MOST_GRASPS, 120)
     check_range("views", views, 1, _MOST_VIEWS, 6)
     check_factor(noise)
@@ -432,7 +450,10 @@ def grasp_dataset(
     if num_scenes is not None:
         check_range("num_scenes", num_scenes, 1, _MOST_EPISODES, 100)
     lifts = num_grasps if num_lifts is None else num_lifts
-    plan = GraspPlan(usable_robot(robot), num_grasps, lifts, views, float(noise), seed)
+    # In an order of its own, so that the same formats are the same dataset.
+    formats = tuple(each for each in get_args(GraspFormat) if each in format)
+    hand = find_hand(robot)
+    plan = GraspPlan(hand, formats, num_object_grasps, num_grasps, lifts, views, float(noise), seed)
     return make(bank_folder(bank), num_scenes, plan, Path(out), num_threads or os.cpu_count() or 1)
 
 

@@ -110,6 +110,12 @@ class Union:
             [self._planes[p][crossing.face[row, p], :3] for row, p in zip(rows, part, strict=True)]
         ).reshape(-1, 3)
 
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """f64[P]: metres to the nearest part, below 0 inside; near edges and corners less than that."""
+        depth = [(points @ p[:, :3].T + p[:, 3]).max(1) for p in self._planes]
+        nearest: np.ndarray = np.min(depth, axis=0)
+        return nearest
+
     def reach(self, start: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """f64[L]: metres that lines run within the union from points inside it, 0 for points outside."""
         crossing = self.cast(start, direction)
@@ -281,25 +287,44 @@ def draw_approaches(
     angle = np.where(np.arange(number) % 2, np.clip(turned, -quarter, quarter), 0.0)
     approach = np.cos(angle)[:, None] * below + np.sin(angle)[:, None] * side
     shallow = rng.choice(_SHALLOW, number)
-    first = pairs.first[row] + _INSIDE * axis
-    ahead = union.reach(first, approach)
-    behind = union.reach(first, -approach)
-    depth = np.minimum(ahead, pad - shallow) + np.minimum(behind, pad + shallow)
-    across = np.cross(axis, approach)
-    left = union.reach(first, across)
-    right = union.reach(first, -across)
-    cover = np.minimum(left, pad) + np.minimum(right, pad)
-    is_deep = (depth >= np.minimum(MIN_COVER, 0.75 * (ahead + behind))) & (
-        cover >= np.minimum(MIN_COVER, 0.75 * (left + right))
-    )
+    is_deep = pads_cover(union, pairs.first[row], axis, approach, pad, shallow)
     keep = is_deep & (approach @ down >= -STEEPEST_UP)
-    turn = np.stack([across, axis, approach], axis=-1)
+    turn = np.stack([np.cross(axis, approach), axis, approach], axis=-1)
     # The pads are where the tool's origin is, but for what they move along the approach as they close.
     back = shallow + gripper.depth_of(width)
     # They close on the object's middle, and not on the tool's axis where one of them stands still.
     aside = gripper.shift_of(width)
     pose = rigid(turn, middle - back[:, None] * approach - aside[:, None] * axis)[keep]
     return GraspCandidates(pose, width[keep], np.zeros(len(pose), bool))
+
+
+def pads_cover(
+    union: Union,
+    first: np.ndarray,
+    axis: np.ndarray,
+    approach: np.ndarray,
+    pad: float,
+    shallow: np.ndarray | float = 0.0,
+) -> np.ndarray:
+    """bool[P]: pads lie on enough of an object, along and across the approach (`MIN_COVER`).
+
+    Args:
+      first: f64[P, 3], where one finger touches. axis, approach: f64[P, 3], from there to the other, and of
+        the hand. pad: metres, half of a pad's length. shallow: f64[P], metres by which `first` is nearer to
+        the tips than the pads' middle.
+    """
+    inside = first + _INSIDE * axis
+    ahead = union.reach(inside, approach)
+    behind = union.reach(inside, -approach)
+    depth = np.minimum(ahead, pad - shallow) + np.minimum(behind, pad + shallow)
+    across = np.cross(axis, approach)
+    left = union.reach(inside, across)
+    right = union.reach(inside, -across)
+    cover = np.minimum(left, pad) + np.minimum(right, pad)
+    is_deep: np.ndarray = (depth >= np.minimum(MIN_COVER, 0.75 * (ahead + behind))) & (
+        cover >= np.minimum(MIN_COVER, 0.75 * (left + right))
+    )
+    return is_deep
 
 
 def _downwards(axis: np.ndarray, down: np.ndarray) -> np.ndarray:
@@ -355,6 +380,11 @@ class HandCheck:
         if of_plane and ahead:
             of_plane = self._look(pose, -ahead)[1]
         return True, of_plane
+
+    def is_clear_at(self, pose: np.ndarray, width: float) -> bool:
+        """Whether the hand is clear of the object at T_object_tool f64[4, 4], whatever its way there."""
+        self._data.qpos[: self._start] = self._gripper.joints_of(self._gripper.opening_of(width))
+        return self._look(pose, 0.0)[0]
 
     def _look(self, pose: np.ndarray, back: float) -> tuple[bool, bool]:
         """Whether the hand, so far before a grasp, is clear of the object, and of the plane."""

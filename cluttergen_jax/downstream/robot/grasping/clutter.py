@@ -299,14 +299,17 @@ class StillScene(_HandScene):
         self._groups = np.zeros(mujoco.mjNGROUP, np.uint8)
         self._groups[VISUAL_GROUP] = 1
 
-    def blocker(self, pose: np.ndarray, width: float) -> str:
+    def blocker(self, pose: np.ndarray, width: float, way: Sequence[float] = BACK) -> str:
         """The body that the open hand touches at T_world_tool f64[4, 4], or on its straight way there.
+
+        Args:
+          way: metres before the pose at which it is looked at; (0,) for the pose alone.
 
         Returns:
           Its name; "" where the hand is free.
         """
         opening = float(self._gripper.opening_of(width))
-        for back in BACK:
+        for back in way:
             self._put(shift_along(pose, (0.0, 0.0, -back)), opening)
             mujoco.mj_kinematics(self._model, self._data)
             mujoco.mj_collision(self._model, self._data)

@@ -92,6 +92,7 @@ def check_grasps(
     pool: Rollout,
     is_brief: bool = False,
     robot: RobotDescription | None = None,
+    is_wide: bool = False,
 ) -> GraspCheck:
     """Tests candidates in one batch; one that is lost by the time it is lifted is not simulated further.
 
@@ -99,6 +100,7 @@ def check_grasps(
       pool: a thread pool of MuJoCo's.
       is_brief: leave out the shaking and the load; `margin` is then 1 or 0.
       robot: whose hand it is; the Panda's if not given.
+      is_wide: the hand comes open as wide as it goes, not as wide as the object asks for.
     """
     contact = ContactConfig()
     robot = robot or find_robot()
@@ -109,7 +111,7 @@ def check_grasps(
     num = len(candidates.width)
     steps = len(course.closed)
     object_body = model.body(OBJECT).id
-    opening = gripper.opening_of(candidates.width)
+    opening = np.full(num, gripper.max_opening) if is_wide else gripper.opening_of(candidates.width)
     come = gripper.control_of(opening)[:, None]
     control = np.zeros((num, steps, model.nu + 6 * model.nbody))
     control[..., 0] = come + course.closed * (gripper.closed - come)

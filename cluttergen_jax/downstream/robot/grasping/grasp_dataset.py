@@ -1,14 +1,18 @@
 """Datasets of labelled grasps in clutter, a scene at a time, resumable.
 
-Besides Parquet the files of VGN and GIGA are written (Breyer et al., "Volumetric Grasping Network: Real-time
-6 DOF Grasp Detection in Clutter", CoRL 2020, and its code; Jiang et al., RSS 2021), in their frames and
-numbers. Their task frame has its origin at a lower corner of a cube; the table lies one finger's depth above
-it. Their tool frame is at the root of the fingers.
+Besides Parquet the files of other projects are written. Those of VGN and GIGA (Breyer et al., "Volumetric
+Grasping Network: Real-time 6 DOF Grasp Detection in Clutter", CoRL 2020, and its code; Jiang et al., RSS
+2021) are in their frames and numbers; those of ACRONYM, Contact-GraspNet and GraspNet `object_sets` writes.
+VGN's task frame has its origin at a lower corner of a cube; the table lies one finger's depth above it. Its
+tool frame is at the root of the fingers. Scenes have names that begin with a letter: they are read from a
+table, where digits alone would be a number.
 
 dataset.json                    how it was made
 grasps.parquet, README.md       every candidate with its labels, and the card
-raw/                            VGN's files: setup.json, grasps.csv, scenes/NUMBER.npz; GIGA's meshes
-voxels/                         the same as volumes: grasps.csv, scenes/NUMBER.npz
+raw/                            VGN's files: setup.json, grasps.csv, scenes/scene_NUMBER.npz
+                                GIGA's: meshes, mesh_pose_list/scene_NUMBER.npz, occ/scene_NUMBER/0000.npz
+voxels/                         the same as volumes: grasps.csv, scenes/scene_NUMBER.npz
+acronym/, graspnet/             as `acronym` and `graspnet` tell
 parts/NUMBER.parquet            the candidates of a scene, written when all else of it is there
 """
 
@@ -17,9 +21,9 @@ from __future__ import annotations
 import io
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,7 +34,9 @@ import pyarrow.parquet as pq
 
 from cluttergen_jax.assets import Mesh, ObjectAsset, SupportAsset, join_meshes, mesh_text
 from cluttergen_jax.downstream.noise import REALSENSE, noisy
-from cluttergen_jax.downstream.robot.description import RobotDescription
+from cluttergen_jax.downstream.robot.grasping.acronym import DEPTH, TABLE_TOP, check_installed
+from cluttergen_jax.downstream.robot.grasping.arrays import write_npz
+from cluttergen_jax.downstream.robot.grasping.candidates import Union
 from cluttergen_jax.downstream.robot.grasping.clutter import (
     FINGER_DEPTH,
     LIFT,
@@ -42,12 +48,29 @@ from cluttergen_jax.downstream.robot.grasping.clutter import (
     StillScene,
     label_grasps,
 )
+from cluttergen_jax.downstream.robot.grasping.object_labels import can_hold
+from cluttergen_jax.downstream.robot.grasping.object_sets import (
+    ACRONYM_FOLDER,
+    GRASPNET_FOLDER,
+    SEEN,
+    ObjectSets,
+)
+from cluttergen_jax.downstream.robot.grasping.suction import (
+    Hand,
+    LiftCups,
+    StillCups,
+    SuctionCup,
+    can_seal,
+    draw_cups,
+)
 from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of, rigid, shift_along
+from cluttergen_jax.errors import ConfigError, first_names
 from cluttergen_jax.evaluation import versions
 from cluttergen_jax.files import remove_partial, write_atomically, writing
 from cluttergen_jax.geometry import rotate_in_plane
 from cluttergen_jax.progress import Progress
+from cluttergen_jax.rendering import find_backend
 from cluttergen_jax.scene import (
     Scene,
     assets_section,
@@ -76,6 +99,10 @@ _EDGE = 0.98
 """Truncated distances nearer to 1 are not in their grids."""
 _FAR = (1.6, 2.4)
 _TILT = np.pi / 4
+_OCCUPANCY = 100_000
+"""Points of a scene that are said to be inside an object or not, as GIGA's script draws them."""
+_AROUND = 0.02
+"""Metres by which they reach beyond the objects."""
 CSV = "scene_id,qx,qy,qz,qw,x,y,z,width,label"
 VOXEL_CSV = "scene_id,qx,qy,qz,qw,i,j,k,width,label"
 
@@ -155,14 +182,25 @@ def _setup(opening: float) -> dict[str, Any]:
     }
 
 
-def grasp_numbers(pose: np.ndarray, T_world_task: np.ndarray) -> np.ndarray:
-    """f64[C, 7]: qx, qy, qz, qw, x, y, z of their tool frame in the task's, of T_world_tool f64[C, 4, 4]."""
+def grasp_numbers(
+    pose: np.ndarray, width: np.ndarray, hand: Hand, T_world_task: np.ndarray
+) -> np.ndarray:
+    """f64[C, 7]: qx, qy, qz, qw, x, y, z of their tool frame in the task's, of T_world_tool f64[C, 4, 4].
+
+    Args:
+      width: f64[C], metres between the pads: where one of them stands still, the middle is beside the tool.
+    """
+    if not isinstance(hand, SuctionCup):
+        side = gripper_of(hand).side_of(width)
+        pose = pose.copy()
+        pose[:, :3, 3] += side[:, None] * pose[:, :3, 1]
     return _numbers(inverse(T_world_task) @ shift_along(pose, (0.0, 0.0, -FINGER_DEPTH)))
 
 
 def is_inside(numbers: np.ndarray) -> np.ndarray:
-    """bool[C]: grasps f64[C, 7] (`grasp_numbers`) in the cube."""
-    inside: np.ndarray = np.all((numbers[:, 4:] >= 0) & (numbers[:, 4:] < CUBE), axis=1)
+    """bool[C]: grasps f64[C, 7] (`grasp_numbers`) in the cube: their nearest voxel, by rounding, is in it."""
+    voxel = np.round(numbers[:, 4:] * RESOLUTION / CUBE)
+    inside: np.ndarray = np.all((numbers[:, 4:] >= 0) & (voxel < RESOLUTION), axis=1)
     return inside
 
 
@@ -180,12 +218,6 @@ def csv_lines(
 def _numbers(matrix: np.ndarray) -> np.ndarray:
     """f64[..., 7]: poses f64[..., 4, 4] as x, y, z, w of a quaternion, then the position."""
     return pose_of(matrix)[..., [4, 5, 6, 3, 0, 1, 2]]
-
-
-def _write_npz(path: Path, **arrays: Any) -> None:
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)
-    write_atomically(path, buffer.getvalue())
 
 
 def _write_table(path: Path, table: pa.Table) -> None:
@@ -233,13 +265,17 @@ class GraspPlan:
     """How a dataset is made.
 
     Attributes:
-      robot: whose hand it is.
+      robot: whose hand it is, or a suction cup.
+      format: of which projects files are written.
+      num_object_grasps: candidates of each object, where a format labels objects.
       num_grasps: candidates kept of each scene. num_lifts: of the free ones, how many are executed.
       num_views: pictures of each scene. noise: factor of a usual depth camera's.
       seed: of all that is drawn.
     """
 
-    robot: RobotDescription
+    robot: Hand
+    format: tuple[str, ...]
+    num_object_grasps: int
     num_grasps: int
     num_lifts: int
     num_views: int
@@ -254,6 +290,8 @@ class GraspDataset:
     Attributes:
       path: its folder. num_scenes, num_grasps, num_free: what is in it.
       lifts: how many lifts ended in each way.
+      format: of which projects there are files.
+      num_held: of the grasps of objects by themselves, how many of how many hold, by object.
     """
 
     path: Path
@@ -261,14 +299,34 @@ class GraspDataset:
     num_grasps: int
     num_free: int
     lifts: dict[str, int]
+    format: tuple[str, ...] = ("vgn", "giga")
+    num_held: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+
+    @property
+    def lacking(self) -> tuple[str, ...]:
+        """The objects of which no grasp holds."""
+        return tuple(name for name, (held, _) in self.num_held.items() if not held)
 
     def __str__(self) -> str:
         lifts = ", ".join(f"{name} {number}" for name, number in self.lifts.items()) or "none"
-        return (
-            f"grasps     {self.num_grasps} of {self.num_scenes} scenes, {self.num_free} free\n"
-            f"lifts      {lifts}\n"
-            f"files      {self.path}: {GRASPS}, raw and voxels (VGN, GIGA)"
-        )
+        lines = [f"grasps     {self.num_grasps} of {self.num_scenes} scenes, {self.num_free} free"]
+        if self.num_held:
+            held, number = np.sum(list(self.num_held.values()), axis=0)
+            lines.append(f"objects    {len(self.num_held)}, {held} of {number} grasps hold")
+        if self.lacking:
+            lines.append(f"no grasp   of {', '.join(self.lacking)}")
+        places = ", ".join(dict.fromkeys(_PLACES[each] for each in self.format))
+        lines += [f"lifts      {lifts}", f"files      {self.path}: {GRASPS}, {places}"]
+        return "\n".join(lines)
+
+
+_PLACES = {
+    "vgn": "raw and voxels (VGN)",
+    "giga": "raw and voxels (GIGA)",
+    "acronym": f"{ACRONYM_FOLDER} (ACRONYM)",
+    "contact_graspnet": f"{ACRONYM_FOLDER} (Contact-GraspNet)",
+    "graspnet": f"{GRASPNET_FOLDER} (GraspNet-1Billion)",
+}
 
 
 def make(
@@ -277,62 +335,142 @@ def make(
     """A dataset in a folder, begun or continued; see `cluttergen_jax.robot.dataset`."""
     source = read_bank(bank)
     scenes = list(read_scenes(source))[:num_scenes]
+    objects = list({asset.name: asset for scene in scenes for asset in scene.objects}.values())
+    _check_formats(plan)
+    if not (out / _DATASET.index).exists():
+        _check_objects(objects, plan)
     recipe = {
         "bank": {"name": bank.resolve().name, "recipe": source.recipe},
         **vars(plan),
-        "robot": {"name": plan.robot.name, "hash": plan.robot.hash},
+        "robot": {
+            "name": plan.robot.name,
+            "hash": plan.robot.hash,
+            "is_cup": isinstance(plan.robot, SuctionCup),
+        },
         "versions": versions(),
     }
     with _DATASET.hold(out), writing(out):
         remove_partial(out)
         _DATASET.begin(out, recipe)
-        meshes = {asset.name: asset for scene in scenes for asset in scene.objects}
-        for name, asset in meshes.items():
-            write_atomically(out / _mesh_name(name), mesh_text(_surface_of(asset)).encode())
+        if "giga" in plan.format:
+            for asset in objects:
+                write_atomically(
+                    out / _mesh_name(asset.name), mesh_text(_surface_of(asset)).encode()
+                )
+        sets = ObjectSets(
+            out,
+            objects,
+            plan.format,
+            plan.robot,
+            plan.num_object_grasps,
+            plan.num_views,
+            plan.noise,
+            plan.seed,
+        )
+        sets.make_objects(_surface_of, num_threads)
         missing = [scene for scene in scenes if not (out / _part_name(scene)).is_file()]
         done = len(scenes) - len(missing)
         pool = ThreadPoolExecutor(num_threads)
         try:
             with Progress("grasps", len(scenes), "scene", done) as progress:
-                waiting = [pool.submit(partial(_make_scene, out, plan), scene) for scene in missing]
+                waiting = [
+                    pool.submit(partial(_make_scene, out, plan, sets), scene) for scene in missing
+                ]
                 for future in as_completed(waiting):
                     progress.update(1, future.result())
         finally:
             pool.shutdown(cancel_futures=True)
-        return _finish(
-            out, scenes, list(meshes.values()), recipe, gripper_of(plan.robot).max_opening
+        sets.draw_scenes(scenes)
+        return _finish(out, scenes, sets, recipe, plan.robot)
+
+
+def _opening(robot: Hand) -> float:
+    """Metres that a hand opens, between its pads; 0 of a cup."""
+    return 0.0 if isinstance(robot, SuctionCup) else 2 * gripper_of(robot).max_opening
+
+
+def _check_formats(plan: GraspPlan) -> None:
+    """Refuses what the hand or the machine does not allow, before anything is made.
+
+    Raises:
+      ConfigError, MissingExtraError, RendererError: see there.
+    """
+    if isinstance(plan.robot, SuctionCup) and "contact_graspnet" in plan.format:
+        raise ConfigError(
+            "format contact_graspnet for a suction cup",
+            "a hand whose fingers touch at two points",
+            "the formats vgn, giga, acronym and graspnet (as SuctionNet-1Billion)",
+        )
+    if not {"acronym", "contact_graspnet"}.isdisjoint(plan.format):
+        check_installed()
+    if not set(SEEN).isdisjoint(plan.format):
+        find_backend()
+
+
+def _check_objects(objects: Sequence[ObjectAsset], plan: GraspPlan) -> None:
+    """Refuses a bank of whose objects the hand can hold none (ConfigError)."""
+    hand = plan.robot
+    if isinstance(hand, SuctionCup):
+        held = any(can_seal(asset, hand) for asset in objects)
+        why = f"on none of them a rim of {2e3 * hand.radius:g} mm seals"
+    else:
+        held = any(can_hold(asset, hand) for asset in objects)
+        why = f"it opens by {1e3 * _opening(hand):.0f} mm, and all are wider or too slanted"
+    if not held:
+        names = first_names([asset.name for asset in objects], 5)
+        raise ConfigError(
+            f"no object of the bank that the hand of {hand.name} can hold ({names}): {why}",
+            "a bank with at least one that it can",
+            'objects="width<0.07" in `generate`, or another robot',
         )
 
 
-def _make_scene(out: Path, plan: GraspPlan, scene: Scene) -> str:
+def _make_scene(out: Path, plan: GraspPlan, sets: ObjectSets, scene: Scene) -> str:
     """Makes all files of a scene, that of its candidates last; a note."""
     streams = np.random.default_rng([plan.seed, scene.origin.index]).spawn(3)
-    still = StillScene(scene, plan.robot)
     T_world_task = task_frame(scene.support)
-    labelled = label_grasps(scene, still, plan.num_grasps, streams[0])
+    hand = plan.robot
+    still: StillScene | StillCups
+    if isinstance(hand, SuctionCup):
+        still = StillCups(scene, hand)
+        labelled = draw_cups(scene, still, plan.num_grasps, streams[0])
+    else:
+        still = StillScene(scene, hand)
+        labelled = label_grasps(scene, still, plan.num_grasps, streams[0])
     grasps = labelled.grasps
     is_free = labelled.blocked_by == ""
     lifts: dict[int, Lift] = {}
     if plan.num_lifts and is_free.any():
-        executed = LiftScene(scene, plan.robot)
-        chosen = streams[1].permutation(np.flatnonzero(is_free))[: plan.num_lifts]
-        lifts = {
-            int(row): executed.lift(grasps.pose[row], grasps.width[row]) for row in np.sort(chosen)
-        }
-    noise = REALSENSE.scale(plan.noise)
-    depths = []
-    cameras = []
-    for camera in draw_cameras(T_world_task, plan.num_views, streams[2]):
-        depth, believed = noisy(still.depth(camera), camera, noise, streams[2])
-        depths.append(depth)
-        cameras.append(believed)
-    _write_scene(out, scene, T_world_task, depths, cameras)
-    numbers = grasp_numbers(grasps.pose, T_world_task)
+        chosen = np.sort(streams[1].permutation(np.flatnonzero(is_free))[: plan.num_lifts])
+        if isinstance(hand, SuctionCup):
+            cups = LiftCups(scene, hand)
+            lifts = {
+                int(row): cups.lift(grasps.pose[row], int(grasps.target[row])) for row in chosen
+            }
+        else:
+            executed = LiftScene(scene, hand)
+            lifts = {int(row): executed.lift(grasps.pose[row], grasps.width[row]) for row in chosen}
+    if not _OF_CUBE.isdisjoint(plan.format):
+        noise = REALSENSE.scale(plan.noise)
+        depths = []
+        cameras = []
+        for camera in draw_cameras(T_world_task, plan.num_views, streams[2]):
+            depth, believed = noisy(still.depth(camera), camera, noise, streams[2])
+            depths.append(depth)
+            cameras.append(believed)
+        _write_scene(out, scene, T_world_task, depths, cameras)
+    if "giga" in plan.format:
+        _write_giga(out, scene, T_world_task, plan.seed)
+    sets.make_scene(scene, still)
+    numbers = grasp_numbers(grasps.pose, grasps.width, hand, T_world_task)
     table = _table(scene, grasps, labelled.blocked_by, lifts, is_inside(numbers))
     counts = {"drawn": str(labelled.num_drawn), "free": str(labelled.num_free)}
     _write_table(out / _part_name(scene), table.replace_schema_metadata(counts))
     good = sum(lift.end is LiftEnd.LIFTED for lift in lifts.values())
     return f"{int(is_free.sum())} of {len(is_free)} free, {good} of {len(lifts)} lifted"
+
+
+_OF_CUBE = {"vgn", "giga"}
 
 
 def _write_scene(
@@ -342,23 +480,44 @@ def _write_scene(
     depths: Sequence[np.ndarray],
     cameras: Sequence[Camera],
 ) -> None:
-    """What was seen, as pictures and as a volume, and where the meshes are."""
-    T_task_world = inverse(T_world_task)
+    """What was seen, as pictures and as a volume."""
     extrinsics = [_numbers(inverse(each.T_world_camera) @ T_world_task) for each in cameras]
     images = [np.where(np.isfinite(each), each, 0.0) for each in depths]
-    # GIGA's list: file, scale, T_task_mesh; an array of objects, which NumPy pickles.
-    meshes = np.empty((len(scene.names), 3), object)
-    for row, asset, pose in zip(meshes, scene.objects, matrix_of(scene.poses), strict=True):
-        row[:] = _mesh_name(asset.name), 1.0, T_task_world @ pose
     grid = tsdf_grid(depths, cameras, T_world_task)
-    name = f"{_number(scene)}.npz"
-    _write_npz(
+    name = f"{scene_id(scene)}.npz"
+    write_npz(
         out / "raw/scenes" / name,
         depth_imgs=np.array(images, np.float32),
         extrinsics=np.array(extrinsics, np.float32),
     )
-    _write_npz(out / "raw/mesh_pose_list" / name, pc=meshes)
-    _write_npz(out / "voxels/scenes" / name, grid=grid)
+    write_npz(out / "voxels/scenes" / name, grid=grid)
+
+
+def _write_giga(out: Path, scene: Scene, T_world_task: np.ndarray, seed: int) -> None:
+    """Where the meshes are, and which points of space are inside them."""
+    T_task_world = inverse(T_world_task)
+    placed = T_task_world @ matrix_of(scene.poses)
+    # GIGA's list: file, scale, T_task_mesh; an array of objects, which NumPy pickles.
+    meshes = np.empty((len(scene.names), 3), object)
+    for row, asset, pose in zip(meshes, scene.objects, placed, strict=True):
+        row[:] = _mesh_name(asset.name), 1.0, pose
+    write_npz(out / f"raw/mesh_pose_list/{scene_id(scene)}.npz", pc=meshes)
+    corners = np.concatenate(
+        [
+            asset.vertices @ pose[:3, :3].T + pose[:3, 3]
+            for asset, pose in zip(scene.objects, placed, strict=True)
+        ]
+    )
+    rng = np.random.default_rng([seed, scene.origin.index, 90])
+    points = rng.uniform(corners.min(0) - _AROUND, corners.max(0) + _AROUND, (_OCCUPANCY, 3))
+    # As they keep them, in half precision.
+    points = points.astype(np.float16)
+    is_inside_any = np.zeros(len(points), bool)
+    for asset, pose in zip(scene.objects, placed, strict=True):
+        local = (points.astype(np.float64) - pose[:3, 3]) @ pose[:3, :3]
+        near = np.flatnonzero((np.abs(local) <= asset.half_extents + 1e-6).all(1))
+        is_inside_any[near] |= Union(asset.parts).distance(local[near]) < 0
+    write_npz(out / f"raw/occ/{scene_id(scene)}/0000.npz", points=points, occ=is_inside_any)
 
 
 def _table(
@@ -390,9 +549,9 @@ def _table(
 def _finish(
     out: Path,
     scenes: Sequence[Scene],
-    objects: Sequence[ObjectAsset],
+    sets: ObjectSets,
     recipe: dict[str, Any],
-    opening: float,
+    hand: Hand,
 ) -> GraspDataset:
     """Joins what the scenes have: the tables of all formats, and the card."""
     parts = [pq.read_table(out / _part_name(scene)) for scene in scenes]
@@ -402,17 +561,9 @@ def _finish(
     }
     whole = pa.concat_tables([part.replace_schema_metadata(None) for part in parts])
     _write_table(out / GRASPS, whole)
-    write_atomically(
-        out / "raw/setup.json", (json.dumps(_setup(2 * opening), indent=4) + "\n").encode()
-    )
-    raw = [CSV]
-    voxels = [VOXEL_CSV]
-    for scene, part in zip(scenes, parts, strict=True):
-        rows = _labelled_rows(part, recipe["num_lifts"], task_frame(scene.support))
-        raw += csv_lines(_number(scene), *rows, 1.0)
-        voxels += csv_lines(_number(scene), *rows, CUBE / RESOLUTION)
-    write_atomically(out / "raw/grasps.csv", ("\n".join(raw) + "\n").encode())
-    write_atomically(out / "voxels/grasps.csv", ("\n".join(voxels) + "\n").encode())
+    num_csv = 0
+    if not _OF_CUBE.isdisjoint(recipe["format"]):
+        num_csv = _write_cubes(out, scenes, parts, recipe["num_lifts"], hand)
     lifts = Counter(each for each in whole["lift"].to_pylist() if each is not None)
     made = GraspDataset(
         out,
@@ -420,15 +571,32 @@ def _finish(
         len(whole),
         int(np.sum(whole["is_free"].to_numpy())),
         dict(lifts.most_common()),
+        tuple(recipe["format"]),
+        {name: (int(each.is_held.sum()), len(each.is_held)) for name, each in sets.labels.items()},
     )
-    write_unless_own(
-        out, lambda: _card(made, whole, counts, len(raw) - 1, scenes[0], objects, recipe)
-    )
+    write_unless_own(out, lambda: _card(made, whole, counts, num_csv, scenes[0], sets, recipe))
     return made
 
 
+def _write_cubes(
+    out: Path, scenes: Sequence[Scene], parts: Sequence[pa.Table], num_lifts: int, hand: Hand
+) -> int:
+    """Writes the tables of VGN and GIGA; how many rows each has."""
+    setup = json.dumps(_setup(_opening(hand)), indent=4) + "\n"
+    write_atomically(out / "raw/setup.json", setup.encode())
+    raw = [CSV]
+    voxels = [VOXEL_CSV]
+    for scene, part in zip(scenes, parts, strict=True):
+        rows = _labelled_rows(part, num_lifts, hand, task_frame(scene.support))
+        raw += csv_lines(scene_id(scene), *rows, 1.0)
+        voxels += csv_lines(scene_id(scene), *rows, CUBE / RESOLUTION)
+    write_atomically(out / "raw/grasps.csv", ("\n".join(raw) + "\n").encode())
+    write_atomically(out / "voxels/grasps.csv", ("\n".join(voxels) + "\n").encode())
+    return len(raw) - 1
+
+
 def _labelled_rows(
-    part: pa.Table, num_lifts: int, T_world_task: np.ndarray
+    part: pa.Table, num_lifts: int, hand: Hand, T_world_task: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Numbers f64[C, 7], widths f64[C] and labels bool[C] of the candidates that VGN's files have.
 
@@ -443,7 +611,9 @@ def _labelled_rows(
     pose = matrix_of(np.array(part["pose"].to_pylist(), np.float64).reshape(-1, 7))
     final = np.array(part["lifted_width"].to_pylist(), np.float64)
     width = np.where(np.isfinite(final), final, part["width"].to_numpy())
-    return grasp_numbers(pose, T_world_task)[chosen], width[chosen], label[chosen].astype(bool)
+    # As wide as it was when it came: what is in the cube was decided by that.
+    numbers = grasp_numbers(pose, part["width"].to_numpy(), hand, T_world_task)
+    return numbers[chosen], width[chosen], label[chosen].astype(bool)
 
 
 def _card(
@@ -452,10 +622,11 @@ def _card(
     counts: dict[str, int],
     num_csv: int,
     scene: Scene,
-    objects: Sequence[ObjectAsset],
+    sets: ObjectSets,
     recipe: dict[str, Any],
 ) -> str:
     """The card as Markdown."""
+    objects = sets.objects
     licences = [*(each.provenance.licence for each in objects), scene.support.provenance.licence]
     tags = ["robotics", "simulation", "mujoco", "grasping", "clutter"]
     head = front_matter(
@@ -469,7 +640,7 @@ def _card(
         "lifts": ", ".join(f"{name} {number}" for name, number in made.lifts.items())
         or "none executed",
         "in VGN's files": f"{num_csv}, those inside its cube of {CUBE:g} m whose label is known",
-        "views": f"{recipe['num_views']} of {WIDTH} x {HEIGHT} a scene, noise {recipe['noise']:g}",
+        "views": f"{recipe['num_views']} a scene, noise {recipe['noise']:g}",
         "seed": recipe["seed"],
         "versions": ", ".join(f"{name} {number}" for name, number in recipe["versions"].items()),
     }
@@ -483,12 +654,17 @@ def _card(
         "lift: from the pose, everything awake, the fingers close and the hand rises by "
         f"{LIFT:g} m; `lifted` means that an object came up by at least {RAISED:g} of it."
     )
-    files = (
-        "## Files\n\n`raw` is what VGN's `construct_dataset.py` reads: depth in metres (0: not measured), "
-        "`extrinsics` of each view, x, y, z, w of the quaternion and the position of the cube in the camera's"
-        " frame, `grasps.csv` with the tool frame at the root of the fingers. `voxels` is what it makes of "
-        "them. `raw/mesh_pose_list` and `raw/meshes` are GIGA's."
-    )
+    if made.num_held:
+        held, number = np.sum(list(made.num_held.values()), axis=0)
+        facts["objects by themselves"] = f"{len(made.num_held)}, {held} of {number} grasps hold"
+        facts["objects without a grasp"] = ", ".join(made.lacking) or "none"
+    tried = np.concatenate([np.zeros(0, bool), *sets.simulated])
+    if len(tried):
+        facts["GraspNet's, good at the object's friction, simulated"] = (
+            f"{tried.sum()} of {len(tried)} hold"
+        )
+    texts = dict.fromkeys(_FILES[each] for each in made.format)
+    files = "\n\n".join(["## Files", *texts, *([_CUP] if _is_cup(recipe) else [])])
     lines = "\n".join(f"- {name}: {value}" for name, value in facts.items())
     return (
         "\n\n".join([head, about, lines, f"## Columns\n\n{columns}", files])
@@ -497,12 +673,49 @@ def _card(
     )
 
 
-def _number(scene: Scene) -> str:
-    return f"{scene.origin.index:06d}"
+_CUBE_FILES = (
+    "`raw` is what VGN's `construct_dataset.py` reads: depth in metres (0: not measured), `extrinsics` of "
+    "each view, x, y, z, w of the quaternion and the position of the cube in the camera's frame, "
+    "`grasps.csv` with the tool frame at the root of the fingers. `voxels` is what it makes of them."
+)
+_FILES = {
+    "vgn": _CUBE_FILES,
+    "giga": "`raw/mesh_pose_list`, `raw/meshes` and `raw/occ` are GIGA's, which reads `raw` and `voxels` as "
+    "VGN does. Meshes are named from this folder: its scripts run here.",
+    "acronym": f"`{ACRONYM_FOLDER}` is the root for `acronym_tools`: `grasps/*.h5`, `meshes`. A grasp's "
+    "frame is the root of the Panda's hand, z the approach, x the closing direction; any hand is put so that "
+    f"the middle of its open pads is {DEPTH} m ahead of that. The hand comes open as wide as it goes. "
+    "`object_in_gripper`: it touched nothing, and held the object lifted by 15 cm, shaken and turned, "
+    "slipping by less than 5 mm and 10 degrees. `grasps/qualities/cluttergen` has what else is known.",
+    "contact_graspnet": f"`{ACRONYM_FOLDER}` is the data path of Contact-GraspNet, with ACRONYM's files: "
+    "`mesh_contacts`, `splits`, `scene_contacts`, and `scene_views` for its inference (blue comes first). "
+    f"The top of its table is at {TABLE_TOP} m; a support that is no plane is one more mesh, without grasps. "
+    "Its config takes hands that open by 0.08 m: for a wider one set `gripper_width` and `offset_bins`.",
+    "graspnet": f"`{GRASPNET_FOLDER}` is the root for graspnetAPI, camera `realsense`, split `custom`, with "
+    "as many views as were asked for (theirs has 256, and 88 objects: `checkDataCompleteness` asks for "
+    "those, and for `rect`, which its scripts make). The middle of the pads is `depth` ahead of a point. "
+    "Scores are the least friction by the contacts; `simulated` in `grasp_label`: 1 held, 0 did not, "
+    "-1 not tried.",
+}
+_CUP = (
+    "The hand is a suction cup: its tool's origin is the middle of the rim, widths are 0. In place of grasps "
+    "GraspNet's layout has the labels of SuctionNet-1Billion: `seal_label`, `wrench_label`, "
+    "`suction_collision_label`. Held means: the rim seals (Dex-Net 3.0's rule), and the weight, shaken, "
+    "stays within the cup's bounds."
+)
+
+
+def _is_cup(recipe: dict[str, Any]) -> bool:
+    return recipe["robot"]["is_cup"]
+
+
+def scene_id(scene: Scene) -> str:
+    """What VGN's and GIGA's tables call a scene: never a number."""
+    return f"scene_{scene.origin.index:06d}"
 
 
 def _part_name(scene: Scene) -> str:
-    return f"parts/{_number(scene)}.parquet"
+    return f"parts/{scene.origin.index:06d}.parquet"
 
 
 def _mesh_name(name: str) -> str:
