@@ -332,8 +332,9 @@ def robot_place(
         robot=described,
         own_grasps=grasps,
         planner=planner,
-        record=recorded
-        and partial(
+        record=None
+        if recorded is None
+        else partial(
             recorded.open, "grasp" if task == "lift" else "place", str(found.path), described
         ),
     )
