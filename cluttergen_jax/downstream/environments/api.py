@@ -13,7 +13,15 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, get_args
 from cluttergen_jax.config import check_range
 from cluttergen_jax.downstream.rearrange import api as rearrange_api
 from cluttergen_jax.downstream.robot import api as robot_api
-from cluttergen_jax.downstream.words import RecordFormat, RobotCamera, RobotEnvTask, check_choice
+from cluttergen_jax.downstream.words import (
+    MjxImpl,
+    MjxReward,
+    MjxTask,
+    RecordFormat,
+    RobotCamera,
+    RobotEnvTask,
+    check_choice,
+)
 from cluttergen_jax.errors import ConfigError, MissingExtraError, closest
 from cluttergen_jax.files import check_folder
 from cluttergen_jax.numerics import with_own_settings
@@ -22,17 +30,14 @@ if TYPE_CHECKING:
     import numpy as np
 
     from cluttergen_jax.downstream.environments.env import RobotAction, RobotEnv
-    from cluttergen_jax.downstream.environments.mjx_env import MjxRobotEnv
     from cluttergen_jax.downstream.environments.evaluation import Bound, Policy, PolicyEvaluation
+    from cluttergen_jax.downstream.environments.mjx_env import MjxRobotEnv
     from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
     from cluttergen_jax.downstream.environments.recordings import Recording
     from cluttergen_jax.downstream.environments.world import RobotPhysics
     from cluttergen_jax.downstream.robot.description import RobotDescription, RobotLike
     from cluttergen_jax.generation import BankArrays
 
-MjxTask = Literal["grasp", "place"]
-MjxImpl = Literal["auto", "warp", "jax"]
-MjxReward = Literal["dense", "sparse"]
 _MOST_ENVS = 1_000_000
 Result = TypeVar("Result", bound=Callable[..., Any])
 CAMERAS = ("front", "hand")
@@ -190,7 +195,6 @@ def make_mjx_env(
     """
     from cluttergen_jax.downstream.environments.tasks import TASKS
     from cluttergen_jax.downstream.environments.world import check_reach, support_of, with_robot
-    from cluttergen_jax.downstream.words import check_choice
     from cluttergen_jax.generation import BankArrays, load_bank
 
     if task not in get_args(MjxTask):

@@ -14,7 +14,7 @@ from cluttergen_jax.downstream.environments.tasks import EpisodeStart
 from cluttergen_jax.downstream.robot import episode_seed
 from cluttergen_jax.downstream.robot.outcome import Outcome
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement.boxes import Boxes, gaps
+from cluttergen_jax.placement import Boxes, gaps
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene import scene_cameras
 from cluttergen_jax.sensing import FIRST_OBJECT, RaySensor, sensed_model

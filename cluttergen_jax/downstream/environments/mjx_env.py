@@ -14,7 +14,6 @@ import mujoco
 import numpy as np
 from mujoco import mjx
 
-from cluttergen_jax.downstream.environments.api import MjxReward, MjxTask
 from cluttergen_jax.downstream.environments.mjx_controls import MjxControls
 from cluttergen_jax.downstream.environments.mjx_judge import (
     EpisodeEnd,
@@ -31,6 +30,7 @@ from cluttergen_jax.downstream.environments.tasks import LIFTED
 from cluttergen_jax.downstream.environments.world import RobotWorld
 from cluttergen_jax.downstream.robot.episode import stand_beside
 from cluttergen_jax.downstream.robot.motion.execute import MAX_FORCE
+from cluttergen_jax.downstream.words import MjxReward, MjxTask
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation import BankArrays, WorldState
 from cluttergen_jax.numerics import with_own_settings

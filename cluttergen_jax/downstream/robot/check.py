@@ -9,9 +9,16 @@ import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
 
-from cluttergen_jax.assets import Mesh, ObjectAsset, Rectangle, SupportAsset, find_support
-from cluttergen_jax.assets.object import RestingPose
-from cluttergen_jax.assets.shape import Piece, Provenance
+from cluttergen_jax.assets import (
+    Mesh,
+    ObjectAsset,
+    Piece,
+    Provenance,
+    Rectangle,
+    RestingPose,
+    SupportAsset,
+    find_support,
+)
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.description import (
     HINT,
