@@ -684,7 +684,8 @@ _FILES = {
     "VGN does. Meshes are named from this folder: its scripts run here.",
     "acronym": f"`{ACRONYM_FOLDER}` is the root for `acronym_tools`: `grasps/*.h5`, `meshes`. A grasp's "
     "frame is the root of the Panda's hand, z the approach, x the closing direction; any hand is put so that "
-    f"the middle of its open pads is {DEPTH} m ahead of that. The hand comes open as wide as it goes. "
+    f"the middle of its open pads is {DEPTH} m ahead of that. The hand comes open as wide as it goes; pads "
+    "that close on arcs touch a little ahead. "
     "`object_in_gripper`: it touched nothing, and held the object lifted by 15 cm, shaken and turned, "
     "slipping by less than 5 mm and 10 degrees. `grasps/qualities/cluttergen` has what else is known.",
     "contact_graspnet": f"`{ACRONYM_FOLDER}` is the data path of Contact-GraspNet, with ACRONYM's files: "
