@@ -26,6 +26,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 import cluttergen_jax as cg
+from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.downstream.robot.description import find_robot
 from cluttergen_jax.downstream.robot.grasping import object_sets
 from cluttergen_jax.downstream.robot.grasping.candidates import GraspCandidates, HandCheck, Union
@@ -273,6 +274,19 @@ def test_contact_graspnet_reads_pictures(made):
     assert heights.min() > 0.3 - 0.001
     assert heights.max() < 0.3 + 0.21
     assert data["rgb"].shape == (*data["depth"].shape, 3)
+
+
+def test_a_support_that_is_no_plane_is_one_more_mesh_for_contact_graspnet(scene, tmp_path):
+    sets = object_sets.ObjectSets(
+        tmp_path, scene.objects, ["contact_graspnet"], PANDA, 4, views=1, noise=0, seed=0
+    )
+    assert sets._support_mesh(find_support("table")) is None
+    bin_ = find_support("bin")
+    names, mean = sets._support_mesh(bin_)
+    mesh, found = centred_mesh(tmp_path / "acronym", names.mesh)
+    np.testing.assert_allclose(found, mean)
+    pieces = np.concatenate([piece.mesh.vertices for piece in bin_.collision_pieces])
+    np.testing.assert_allclose(mesh.bounds + mean, [pieces.min(0), pieces.max(0)], atol=1e-6)
 
 
 def graspnet_views():

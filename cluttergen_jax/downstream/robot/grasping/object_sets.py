@@ -285,6 +285,8 @@ class ObjectSets:
         for path, arrays in (
             (f"wrench_label/{name}_wrench.npz", wrenches),
             (f"suction_collision_label/{name}_collision.npz", masks),
+            # Their loader looks here, their check there.
+            (f"collision_label/{name}_collision.npz", masks),
         ):
             write_npz(root / path, **{f"arr_{k}": each for k, each in enumerate(arrays)})
 
