@@ -17,7 +17,7 @@ from cluttergen_jax.assets import Mesh, ObjectAsset, SupportAsset, join_meshes
 from cluttergen_jax.downstream.noise import REALSENSE, noisy
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping import acronym, graspnet
-from cluttergen_jax.downstream.robot.grasping.arrays import write_npz
+from cluttergen_jax.downstream.robot.grasping.arrays import write_mesh, write_npz
 from cluttergen_jax.downstream.robot.grasping.candidates import GraspCandidates, Union
 from cluttergen_jax.downstream.robot.grasping.clutter import StillScene
 from cluttergen_jax.downstream.robot.grasping.grasp_check import check_grasps
@@ -219,7 +219,7 @@ class ObjectSets:
         simulated = np.zeros(0, bool)
         if self.has_acronym:
             root = self._root(ACRONYM_FOLDER)
-            mean = acronym.write_mesh(root / names.mesh, surface)
+            mean = write_mesh(root / names.mesh, surface)
             acronym.write_grasps(root, names, asset, labels, told)
             if "contact_graspnet" in self._formats:
                 acronym.write_mesh_contacts(root, names, labels, mean, self._opening())
@@ -349,7 +349,7 @@ class ObjectSets:
             return None
         names = acronym.support_names(support.name)
         mesh = join_meshes([piece.mesh for piece in pieces])
-        return names, acronym.write_mesh(self._root(ACRONYM_FOLDER) / names.mesh, mesh)
+        return names, write_mesh(self._root(ACRONYM_FOLDER) / names.mesh, mesh)
 
     def _draw_scene(self, scene: Scene) -> None:
         rng = np.random.default_rng([self._seed, scene.origin.index, 89])
