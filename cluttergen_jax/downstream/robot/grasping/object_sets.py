@@ -42,10 +42,14 @@ from cluttergen_jax.downstream.transforms import matrix_of, rigid
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.geometry import yaw_matrix
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.rendering import PictureConfig
+from cluttergen_jax.rendering import (
+    PictureConfig,
+    RenderStyle,
+    close_points,
+    open_scene_renderer,
+)
 from cluttergen_jax.scene import Scene
-from cluttergen_jax.sensing import FIRST_OBJECT, Camera
-from cluttergen_jax.views import ViewMaker
+from cluttergen_jax.sensing import FIRST_OBJECT, Camera, RaySensor, sensed_model
 
 ACRONYM_FOLDER = "acronym"
 GRASPNET_FOLDER = "graspnet"
@@ -360,32 +364,38 @@ class ObjectSets:
         picture = PictureConfig(graspnet.WIDTH, graspnet.HEIGHT, samples=_SAMPLES)
         T_world_table = table_frame(scene.support)
         T_contact_world = acronym.contact_frame(T_world_table)
-        with ViewMaker(picture) as maker:
-            maker.place(scene.objects, scene.poses, scene.support)
+        sensor = RaySensor(sensed_model(scene.objects, scene.support))
+        data = sensor.make_data()
+        sensor.pose(data, scene.poses)
+        styles = [RenderStyle(pose) for pose in scene.poses]
+        around = close_points(scene.objects, scene.poses, scene.support)
+        with open_scene_renderer(scene.objects, scene.support, around, picture) as renderer:
             if "graspnet" in self._formats:
                 root = self._root(GRASPNET_FOLDER)
                 cameras = graspnet.cameras_at(places)
                 graspnet.write_scene(root, number, scene, ids, T_world_table, cameras)
                 for view, camera in enumerate(cameras):
-                    seen = maker.see(camera)
+                    seen = sensor.sense(data, camera)
+                    renderer.camera = camera
+                    rgb = renderer.picture(styles)
                     depth = noisy(seen.depth, camera, noise, rng)[0]
                     label_of = np.array([0] * FIRST_OBJECT + [1 + each for each in ids])
-                    graspnet.write_images(
-                        root, number, view, seen.colours, depth, label_of[seen.label]
-                    )
+                    graspnet.write_images(root, number, view, rgb, depth, label_of[seen.label])
             if "contact_graspnet" in self._formats:
                 K = np.array(_CONTACT_K)
                 for view, place in enumerate(places):
                     shifted = K.copy()
                     shifted[:2, 2] += 0.5
                     camera = Camera(*_CONTACT_SIZE, shifted, place)
-                    seen = maker.see(camera)
+                    seen = sensor.sense(data, camera)
+                    renderer.camera = camera
+                    rgb = renderer.picture(styles)
                     depth = noisy(seen.depth, camera, noise, rng)[0]
                     acronym.write_view(
                         self._root(ACRONYM_FOLDER),
                         f"{number:06d}_{view:04d}",
                         np.where(np.isfinite(depth), depth, 0.0),
-                        seen.colours,
+                        rgb,
                         np.maximum(seen.label - FIRST_OBJECT + 1, 0),
                         K=K,
                         camera_pose=T_contact_world @ place,
