@@ -26,6 +26,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 import cluttergen_jax as cg
+from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.downstream.robot.description import find_robot
 from cluttergen_jax.downstream.robot.grasping import object_sets
 from cluttergen_jax.downstream.robot.grasping.candidates import GraspCandidates, HandCheck, Union
@@ -275,6 +276,19 @@ def test_contact_graspnet_reads_pictures(made):
     assert data["rgb"].shape == (*data["depth"].shape, 3)
 
 
+def test_a_support_that_is_no_plane_is_one_more_mesh_for_contact_graspnet(scene, tmp_path):
+    sets = object_sets.ObjectSets(
+        tmp_path, scene.objects, ["contact_graspnet"], PANDA, 4, views=1, noise=0, seed=0
+    )
+    assert sets._support_mesh(find_support("table")) is None
+    bin_ = find_support("bin")
+    names, mean = sets._support_mesh(bin_)
+    mesh, found = centred_mesh(tmp_path / "acronym", names.mesh)
+    np.testing.assert_allclose(found, mean)
+    pieces = np.concatenate([piece.mesh.vertices for piece in bin_.collision_pieces])
+    np.testing.assert_allclose(mesh.bounds + mean, [pieces.min(0), pieces.max(0)], atol=1e-6)
+
+
 def graspnet_views():
     """`generate_views`, from its formula."""
     index = np.arange(300, dtype=np.float32)
@@ -503,11 +517,11 @@ def test_another_hand_is_put_so_that_its_pads_are_where_their_frame_has_them(ban
             with h5py.File(path) as data:
                 assert data["gripper/type"][()] == b"panda_2f85"
                 assert data["gripper/opening"][()] == pytest.approx(widest)
+                width = data["grasps/qualities/cluttergen/width"][()]
             tools = tool_of(T)
             rows = np.flatnonzero(free)
-            wide = GraspCandidates(
-                tools[rows], np.full(len(rows), widest), np.zeros(len(rows), bool)
-            )
+            # Its fingers move on arcs: how far the pads are ahead depends on what is between them.
+            wide = GraspCandidates(tools[rows], width[rows], np.zeros(len(rows), bool))
             again = check_grasps(asset, wide, pool, robot=robot, is_wide=True)
             assert (again.is_held == success[rows].astype(bool)).mean() > 0.9
             assert 0 < success.sum() < len(T)

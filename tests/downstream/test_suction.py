@@ -191,7 +191,9 @@ def test_suctionnet_reads_its_labels(made, bank):
         int(line) for line in (root / "scenes/scene_0000/object_id_list.txt").read_text().split()
     ]
     wrench = np.load(root / "wrench_label/0000_wrench.npz")
-    collision = np.load(root / "suction_collision_label/0000_collision.npz")
+    # `loadCollisionLabels` reads the one, `check_data_completeness` asks for the other.
+    collision = np.load(root / "collision_label/0000_collision.npz")
+    assert (root / "suction_collision_label/0000_collision.npz").is_file()
     assert len(wrench) == len(collision) == len(ids)
     for k, (number, asset) in enumerate(zip(ids, scene.objects, strict=True)):
         seal = np.load(root / f"seal_label/{number:03d}_seal.npz")

@@ -23,9 +23,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 
-from cluttergen_jax.assets import Mesh, ObjectAsset
+from cluttergen_jax.assets import ObjectAsset
 from cluttergen_jax.downstream.robot.grasping.arrays import write_npz
 from cluttergen_jax.downstream.robot.grasping.object_labels import ObjectLabels, sliding_friction
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, rigid, shift_along
@@ -91,21 +90,6 @@ def _words(text: str) -> list[str]:
 def grasp_frame(pose: np.ndarray) -> np.ndarray:
     """f64[..., 4, 4]: their grasps where the open pads' middle is at f64[..., 4, 4], axes as a tool's."""
     return shift_along(pose, (0.0, 0.0, -DEPTH)) @ _TURN
-
-
-def write_mesh(path: Path, mesh: Mesh) -> np.ndarray:
-    """Writes a mesh as OBJ; f64[3], the mean of its vertices, as a reader finds it.
-
-    Vertices at one place are one, which readers would make of them: Contact-GraspNet has its meshes about
-    this mean.
-    """
-    merged = trimesh.Trimesh(np.round(mesh.vertices, 7), mesh.faces, process=True)
-    lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in merged.vertices]
-    lines += [f"f {a} {b} {c}" for a, b, c in merged.faces + 1]
-    data = ("\n".join(lines) + "\n").encode()
-    write_atomically(path, data)
-    read = trimesh.load_mesh(io.BytesIO(data), file_type="obj")
-    return np.asarray(read.vertices, np.float64).mean(0)
 
 
 def check_installed() -> None:

@@ -32,10 +32,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cluttergen_jax.assets import Mesh, ObjectAsset, SupportAsset, join_meshes, mesh_text
+from cluttergen_jax.assets import Mesh, ObjectAsset, SupportAsset, join_meshes
 from cluttergen_jax.downstream.noise import REALSENSE, noisy
 from cluttergen_jax.downstream.robot.grasping.acronym import DEPTH, TABLE_TOP, check_installed
-from cluttergen_jax.downstream.robot.grasping.arrays import write_npz
+from cluttergen_jax.downstream.robot.grasping.arrays import write_mesh, write_npz
 from cluttergen_jax.downstream.robot.grasping.candidates import Union
 from cluttergen_jax.downstream.robot.grasping.clutter import (
     FINGER_DEPTH,
@@ -65,7 +65,7 @@ from cluttergen_jax.downstream.robot.grasping.suction import (
 )
 from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of, rigid, shift_along
-from cluttergen_jax.errors import ConfigError, first_names
+from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation import versions
 from cluttergen_jax.files import remove_partial, write_atomically, writing
 from cluttergen_jax.geometry import rotate_in_plane
@@ -354,9 +354,7 @@ def make(
         _DATASET.begin(out, recipe)
         if "giga" in plan.format:
             for asset in objects:
-                write_atomically(
-                    out / _mesh_name(asset.name), mesh_text(_surface_of(asset)).encode()
-                )
+                write_mesh(out / _mesh_name(asset.name), _surface_of(asset))
         sets = ObjectSets(
             out,
             objects,
@@ -417,9 +415,10 @@ def _check_objects(objects: Sequence[ObjectAsset], plan: GraspPlan) -> None:
         held = any(can_hold(asset, hand) for asset in objects)
         why = f"it opens by {1e3 * _opening(hand):.0f} mm, and all are wider or too slanted"
     if not held:
-        names = first_names([asset.name for asset in objects], 5)
+        names = ", ".join(asset.name for asset in objects[:5])
+        more = f" and {len(objects) - 5} more" if len(objects) > 5 else ""
         raise ConfigError(
-            f"no object of the bank that the hand of {hand.name} can hold ({names}): {why}",
+            f"no object of the bank that the hand of {hand.name} can hold ({names}{more}): {why}",
             "a bank with at least one that it can",
             'objects="width<0.07" in `generate`, or another robot',
         )
@@ -684,7 +683,8 @@ _FILES = {
     "VGN does. Meshes are named from this folder: its scripts run here.",
     "acronym": f"`{ACRONYM_FOLDER}` is the root for `acronym_tools`: `grasps/*.h5`, `meshes`. A grasp's "
     "frame is the root of the Panda's hand, z the approach, x the closing direction; any hand is put so that "
-    f"the middle of its open pads is {DEPTH} m ahead of that. The hand comes open as wide as it goes. "
+    f"the middle of its open pads is {DEPTH} m ahead of that. The hand comes open as wide as it goes; pads "
+    "that close on arcs touch a little ahead. "
     "`object_in_gripper`: it touched nothing, and held the object lifted by 15 cm, shaken and turned, "
     "slipping by less than 5 mm and 10 degrees. `grasps/qualities/cluttergen` has what else is known.",
     "contact_graspnet": f"`{ACRONYM_FOLDER}` is the data path of Contact-GraspNet, with ACRONYM's files: "

@@ -26,9 +26,9 @@ import trimesh
 from PIL import Image
 from scipy.io import savemat
 
-from cluttergen_jax.assets import Mesh, ObjectAsset, mesh_text
+from cluttergen_jax.assets import Mesh, ObjectAsset
 from cluttergen_jax.downstream.robot.description import RobotDescription
-from cluttergen_jax.downstream.robot.grasping.arrays import write_npy, write_npz
+from cluttergen_jax.downstream.robot.grasping.arrays import write_mesh, write_npy, write_npz
 from cluttergen_jax.downstream.robot.grasping.candidates import HandCheck, Union, pads_cover
 from cluttergen_jax.downstream.robot.grasping.object_labels import closing_contacts
 from cluttergen_jax.downstream.robot.gripper import gripper_of
@@ -179,7 +179,7 @@ def write_model(root: Path, number: int, asset: ObjectAsset, surface: Mesh) -> N
     fine = trimesh.Trimesh(vertices, faces, process=True)
     ply = trimesh.exchange.ply.export_ply(fine)
     write_atomically(folder / "nontextured.ply", ply)
-    write_atomically(folder / "textured.obj", mesh_text(surface).encode())
+    write_mesh(folder / "textured.obj", surface)
     write_atomically(folder / "textured.sdf", _sdf_text(asset, surface).encode())
 
 

@@ -39,6 +39,8 @@ _TURN = np.radians(20)
 _ROUNDS = 4
 _AT_ONCE = 128
 _LINES_AT_ONCE = 20_000
+_ARC_STEPS = 16
+"""Widths at which fingers are looked at that close on arcs."""
 
 
 class FingerContacts(NamedTuple):
@@ -160,6 +162,28 @@ def _close_along(
     return FingerContacts(points, normals, friction)
 
 
+def _closed_contacts(union: Union, pose: np.ndarray, gripper: Gripper) -> FingerContacts:
+    """What the fingers meet of a hand at T_object_tool f64[G, 4, 4], which may close on arcs."""
+    widest = 2 * gripper.max_opening
+    step = widest / _ARC_STEPS
+    found = closing_contacts(
+        union, pads_of(pose, widest, gripper)[:, :3, 3], pose[:, :3, 1], widest / 2
+    )
+    if not (np.ptp(gripper.depth) or gripper.side_of(0.0) != gripper.side_of(widest)):
+        return found
+    is_met = found.is_pair & (found.width >= widest - step)
+    for width in widest - step * np.arange(1, _ARC_STEPS + 1):
+        middle = pads_of(pose, width, gripper)[:, :3, 3]
+        near = closing_contacts(union, middle, pose[:, :3, 1], widest / 2)
+        # As the fingers come in from outside, the first that is as wide as they are is met.
+        is_new = ~is_met & near.is_pair & (near.width >= width - step)
+        for old, new in zip(found, near, strict=True):
+            old[is_new] = new[is_new]
+        is_met |= is_new
+    found.friction[~is_met] = np.inf
+    return found
+
+
 def label_object(
     asset: ObjectAsset, number: int, seed: int, robot: RobotDescription, pool: Rollout
 ) -> ObjectLabels:
@@ -177,11 +201,10 @@ def label_object(
     union = Union(asset.parts)
     pose, is_free = _draw_poses(asset, union, number, robot, rng)
     pads = pads_of(pose, widest, gripper)
-    contacts = closing_contacts(union, pads[:, :3, 3], pads[:, :3, 1], widest / 2)
+    contacts = _closed_contacts(union, pose, gripper)
     is_held = np.zeros(len(pose), bool)
     measured = {name: np.full(len(pose), np.nan) for name in ("shift", "slip", "turn", "margin")}
-    # Of what is not between the fingers none is held.
-    tested = np.flatnonzero(is_free & contacts.is_pair)
+    tested = np.flatnonzero(is_free)
     for first in range(0, len(tested), _AT_ONCE):
         rows = tested[first : first + _AT_ONCE]
         candidates = GraspCandidates(pose[rows], contacts.width[rows], np.zeros(len(rows), bool))

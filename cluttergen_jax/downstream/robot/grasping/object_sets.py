@@ -17,7 +17,7 @@ from cluttergen_jax.assets import Mesh, ObjectAsset, SupportAsset, join_meshes
 from cluttergen_jax.downstream.noise import REALSENSE, noisy
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping import acronym, graspnet
-from cluttergen_jax.downstream.robot.grasping.arrays import write_npz
+from cluttergen_jax.downstream.robot.grasping.arrays import write_mesh, write_npz
 from cluttergen_jax.downstream.robot.grasping.candidates import GraspCandidates, Union
 from cluttergen_jax.downstream.robot.grasping.clutter import StillScene
 from cluttergen_jax.downstream.robot.grasping.grasp_check import check_grasps
@@ -42,10 +42,14 @@ from cluttergen_jax.downstream.transforms import matrix_of, rigid
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.geometry import yaw_matrix
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.rendering import PictureConfig
+from cluttergen_jax.rendering import (
+    PictureConfig,
+    RenderStyle,
+    close_points,
+    open_scene_renderer,
+)
 from cluttergen_jax.scene import Scene
-from cluttergen_jax.sensing import FIRST_OBJECT, Camera
-from cluttergen_jax.views import ViewMaker
+from cluttergen_jax.sensing import FIRST_OBJECT, Camera, RaySensor, sensed_model
 
 ACRONYM_FOLDER = "acronym"
 GRASPNET_FOLDER = "graspnet"
@@ -219,7 +223,7 @@ class ObjectSets:
         simulated = np.zeros(0, bool)
         if self.has_acronym:
             root = self._root(ACRONYM_FOLDER)
-            mean = acronym.write_mesh(root / names.mesh, surface)
+            mean = write_mesh(root / names.mesh, surface)
             acronym.write_grasps(root, names, asset, labels, told)
             if "contact_graspnet" in self._formats:
                 acronym.write_mesh_contacts(root, names, labels, mean, self._opening())
@@ -285,6 +289,8 @@ class ObjectSets:
         for path, arrays in (
             (f"wrench_label/{name}_wrench.npz", wrenches),
             (f"suction_collision_label/{name}_collision.npz", masks),
+            # Their loader looks here, their check there.
+            (f"collision_label/{name}_collision.npz", masks),
         ):
             write_npz(root / path, **{f"arr_{k}": each for k, each in enumerate(arrays)})
 
@@ -347,7 +353,7 @@ class ObjectSets:
             return None
         names = acronym.support_names(support.name)
         mesh = join_meshes([piece.mesh for piece in pieces])
-        return names, acronym.write_mesh(self._root(ACRONYM_FOLDER) / names.mesh, mesh)
+        return names, write_mesh(self._root(ACRONYM_FOLDER) / names.mesh, mesh)
 
     def _draw_scene(self, scene: Scene) -> None:
         rng = np.random.default_rng([self._seed, scene.origin.index, 89])
@@ -358,32 +364,38 @@ class ObjectSets:
         picture = PictureConfig(graspnet.WIDTH, graspnet.HEIGHT, samples=_SAMPLES)
         T_world_table = table_frame(scene.support)
         T_contact_world = acronym.contact_frame(T_world_table)
-        with ViewMaker(picture) as maker:
-            maker.place(scene.objects, scene.poses, scene.support)
+        sensor = RaySensor(sensed_model(scene.objects, scene.support))
+        data = sensor.make_data()
+        sensor.pose(data, scene.poses)
+        styles = [RenderStyle(pose) for pose in scene.poses]
+        around = close_points(scene.objects, scene.poses, scene.support)
+        with open_scene_renderer(scene.objects, scene.support, around, picture) as renderer:
             if "graspnet" in self._formats:
                 root = self._root(GRASPNET_FOLDER)
                 cameras = graspnet.cameras_at(places)
                 graspnet.write_scene(root, number, scene, ids, T_world_table, cameras)
                 for view, camera in enumerate(cameras):
-                    seen = maker.see(camera)
+                    seen = sensor.sense(data, camera)
+                    renderer.camera = camera
+                    rgb = renderer.picture(styles)
                     depth = noisy(seen.depth, camera, noise, rng)[0]
                     label_of = np.array([0] * FIRST_OBJECT + [1 + each for each in ids])
-                    graspnet.write_images(
-                        root, number, view, seen.colours, depth, label_of[seen.label]
-                    )
+                    graspnet.write_images(root, number, view, rgb, depth, label_of[seen.label])
             if "contact_graspnet" in self._formats:
                 K = np.array(_CONTACT_K)
                 for view, place in enumerate(places):
                     shifted = K.copy()
                     shifted[:2, 2] += 0.5
                     camera = Camera(*_CONTACT_SIZE, shifted, place)
-                    seen = maker.see(camera)
+                    seen = sensor.sense(data, camera)
+                    renderer.camera = camera
+                    rgb = renderer.picture(styles)
                     depth = noisy(seen.depth, camera, noise, rng)[0]
                     acronym.write_view(
                         self._root(ACRONYM_FOLDER),
                         f"{number:06d}_{view:04d}",
                         np.where(np.isfinite(depth), depth, 0.0),
-                        seen.colours,
+                        rgb,
                         np.maximum(seen.label - FIRST_OBJECT + 1, 0),
                         K=K,
                         camera_pose=T_contact_world @ place,
