@@ -163,7 +163,8 @@ def test_the_first_axis_may_point_up_or_down_and_stand_beside_the_base(made, axi
     kinematics = ArmKinematics(AT_ORIGIN, made(turned))
     rng = np.random.default_rng(0)
     for _ in range(6):
-        angle, away = rng.uniform(-2.0, 2.0), rng.uniform(0.4, 0.6)
+        angle = rng.uniform(-2.0, 2.0)
+        away = rng.uniform(0.4, 0.6)
         place = np.array([away * np.cos(angle), away * np.sin(angle), rng.uniform(0.1, 0.3)])
         target = rigid(yaw_matrix(rng.uniform(-3, 3)) @ DOWN, place)
         joints = next(kinematics.solutions(target, 1))

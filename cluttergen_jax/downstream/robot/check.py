@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -122,7 +123,8 @@ def check_reach(robot: RobotDescription) -> None:
     """
     tools = sampled_tools(robot)
     axis = first_axis(robot)
-    far, height = robot.distance, tools[:, 2, 3] + robot.height
+    far = robot.distance
+    height = tools[:, 2, 3] + robot.height
     off = np.linalg.norm(tools[:, :2, 3] - [far, 0.0], axis=1)
     if axis.sign:
         away = np.linalg.norm(tools[:, :2, 3] - axis.anchor[:2], axis=1)
@@ -299,24 +301,25 @@ def _picture(
     """Where the hand comes, green, and does not, red; and the cube in the end."""
     spec = with_robot(scene, robot)
     add_pedestals(spec, base_pose(scene.support, robot))
-    pictures = []
-    ends = []
-    for each in (spec, trace.spec_on_pedestals()):
-        ends.append(add_lighting(each).compile())
-    start = trace.states[0] if trace.states else trace.data.qpos
     width, height = _SIZE
+
+    def draw(drawn: mujoco.MjSpec, state: np.ndarray, trails: Sequence[Trail]) -> np.ndarray:
+        model = add_lighting(drawn).compile()
+        arm = _links(model, state, robot)
+        focus = np.concatenate([arm - _LINK, arm + _LINK, reached[:, :3]])
+        return render_model(
+            model, state, width=width, height=height, samples=8, trails=trails, focus=focus
+        )
+
     trails = [
         Trail(np.array([[x, y, z + _FINGER], [x, y, z]]), _GREEN if is_reached else _RED)
         for x, y, z, is_reached in reached
     ]
-    for model, state, shown in ((ends[0], start, trails), (ends[1], trace.data.qpos, [])):
-        arm = _links(model, state, robot)
-        focus = np.concatenate([arm - _LINK, arm + _LINK, reached[:, :3]])
-        pictures.append(
-            render_model(
-                model, state, width=width, height=height, samples=8, trails=shown, focus=focus
-            )
-        )
+    end = trace.data.qpos
+    pictures = [
+        draw(spec, trace.states[0] if trace.states else end, trails),
+        draw(trace.spec_on_pedestals(), end, ()),
+    ]
     count = int(reached[:, 3].sum())
     captions = [f"{robot.name}: {count} of {len(reached)} poses reached", "the cube in the end"]
     return contact_sheet(pictures, captions, 2)
