@@ -10,9 +10,14 @@ import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
 
-from cluttergen_jax.assets import Mesh, ObjectAsset, Rectangle, SupportAsset, find_support
-from cluttergen_jax.assets.object import RestingPose
-from cluttergen_jax.assets.shape import Piece, Provenance
+from cluttergen_jax.assets import (
+    Mesh,
+    ObjectAsset,
+    Rectangle,
+    SupportAsset,
+    find_pool,
+    find_support,
+)
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.description import (
     HINT,
@@ -36,7 +41,15 @@ from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics, first_axis,
 from cluttergen_jax.downstream.transforms import rigid
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import rotate_in_plane, yaw_matrix
-from cluttergen_jax.rendering import Trail, add_lighting, contact_sheet, render_model
+from cluttergen_jax.rendering import (
+    CameraView,
+    Trail,
+    add_lighting,
+    contact_sheet,
+    fit_camera,
+    open_renderer,
+    set_range,
+)
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.tables import aligned_table
 
@@ -60,6 +73,7 @@ _GREEN = (0.2, 0.65, 0.3)
 _RED = (0.85, 0.2, 0.15)
 _SIZE = (560, 420)
 _EVERY = 48
+_SAMPLES = 8
 _LINK = 0.06
 """Metres around the middles of an arm's links that are in the picture."""
 
@@ -275,17 +289,27 @@ def _cube(half: float) -> ObjectAsset:
     )
     faces = faces[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
     mass = _DENSITY * (2 * half) ** 3
-    return ObjectAsset(
+    # All else is as that of any object that stands upright.
+    like = find_pool("household").objects[0]
+    piece = replace(
+        like.pieces[0],
+        mesh=Mesh(corners, faces),
+        rgba=(0.85, 0.45, 0.15, 1.0),
+        uv=None,
+        texture=None,
+        colours=None,
+        finish=None,
+    )
+    return replace(
+        like,
         name="cube",
         label="cube",
-        pieces=(Piece(Mesh(corners, faces), (0.85, 0.45, 0.15, 1.0)),),
+        pieces=(piece,),
         parts=(Mesh.points(corners),),
         mass=mass,
         center_of_mass=np.zeros(3),
         inertia=np.eye(3) * mass * (2 * half) ** 2 / 6,
-        cloud=np.zeros((1024, 3), np.float32),
-        resting=(RestingPose((1.0, 0.0, 0.0, 0.0), half, 1.0),),
-        provenance=Provenance("cluttergen_jax", "Apache-2.0"),
+        resting=(replace(like.resting[0], quaternion=(1.0, 0.0, 0.0, 0.0), height=half),),
     )
 
 
@@ -305,11 +329,17 @@ def _picture(
 
     def draw(drawn: mujoco.MjSpec, state: np.ndarray, trails: Sequence[Trail]) -> np.ndarray:
         model = add_lighting(drawn).compile()
-        arm = _links(model, state, robot)
-        focus = np.concatenate([arm - _LINK, arm + _LINK, reached[:, :3]])
-        return render_model(
-            model, state, width=width, height=height, samples=8, trails=trails, focus=focus
-        )
+        data = mujoco.MjData(model)
+        data.qpos[:] = state
+        mujoco.mj_forward(model, data)
+        arm = data.xpos[Robot.of(model, robot).is_arm]
+        content = np.concatenate([arm - _LINK, arm + _LINK, reached[:, :3]])
+        view = CameraView()
+        reach = set_range(model, content, view, width, height)
+        camera = fit_camera(content, view, width, height)
+        with open_renderer(model, width, height) as renderer:
+            image: np.ndarray = renderer.average(data, camera, _SAMPLES, reach, trails=trails)
+        return image
 
     trails = [
         Trail(np.array([[x, y, z + _FINGER], [x, y, z]]), _GREEN if is_reached else _RED)
@@ -323,12 +353,3 @@ def _picture(
     count = int(reached[:, 3].sum())
     captions = [f"{robot.name}: {count} of {len(reached)} poses reached", "the cube in the end"]
     return contact_sheet(pictures, captions, 2)
-
-
-def _links(model: mujoco.MjModel, state: np.ndarray, robot: RobotDescription) -> np.ndarray:
-    """f64[L, 3]: where the links of the arm are."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = state
-    mujoco.mj_kinematics(model, data)
-    found: np.ndarray = data.xpos[Robot.of(model, robot).is_arm]
-    return found
