@@ -15,10 +15,9 @@ if TYPE_CHECKING:
         populated_spec,
     )
     from cluttergen_jax.assets.obj import mesh_text
-    from cluttergen_jax.assets.object import ObjectAsset, RestingPose
+    from cluttergen_jax.assets.object import ObjectAsset
     from cluttergen_jax.assets.object_files import object_hash
     from cluttergen_jax.assets.pool import embedded_root, find_pool, public_name, user_root
-    from cluttergen_jax.assets.shape import Piece, Provenance
     from cluttergen_jax.assets.support import Box, Rectangle, SupportAsset, parse_region
     from cluttergen_jax.assets.support_file import find_support, support_hash
     from cluttergen_jax.assets.symmetry import ROUND, turn_symmetry
@@ -30,10 +29,9 @@ __getattr__, __all__ = offer(
         "mesh": ("Mesh", "join_meshes"),
         "mjcf": ("VISUAL_GROUP", "add_object", "add_part", "own_contact", "populated_spec"),
         "obj": ("mesh_text",),
-        "object": ("ObjectAsset", "RestingPose"),
+        "object": ("ObjectAsset",),
         "object_files": ("object_hash",),
         "pool": ("embedded_root", "find_pool", "public_name", "user_root"),
-        "shape": ("Piece", "Provenance"),
         "support": ("Box", "Rectangle", "SupportAsset", "parse_region"),
         "support_file": ("find_support", "support_hash"),
         "symmetry": ("ROUND", "turn_symmetry"),

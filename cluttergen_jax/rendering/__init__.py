@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from cluttergen_jax.rendering.film import check_format, find_ffmpeg, save_film
     from cluttergen_jax.rendering.gl import find_backend, new_context
     from cluttergen_jax.rendering.lighting import KEY_LIGHT, add_lighting
-    from cluttergen_jax.rendering.picture import render_model
     from cluttergen_jax.rendering.renderer import (
         HIDDEN_GROUP,
         Renderer,
@@ -51,7 +50,6 @@ __getattr__, __all__ = offer(
         "film": ("check_format", "find_ffmpeg", "save_film"),
         "gl": ("find_backend", "new_context"),
         "lighting": ("KEY_LIGHT", "add_lighting"),
-        "picture": ("render_model",),
         "renderer": ("HIDDEN_GROUP", "Renderer", "Trail", "open_renderer", "set_range"),
         "scene_renderer": ("PictureConfig", "RED", "RenderStyle", "open_scene_renderer"),
         "sheet": ("contact_sheet", "save_png", "with_caption", "with_frame"),

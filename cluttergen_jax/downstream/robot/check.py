@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -12,11 +13,9 @@ from mujoco.rollout import Rollout
 from cluttergen_jax.assets import (
     Mesh,
     ObjectAsset,
-    Piece,
-    Provenance,
     Rectangle,
-    RestingPose,
     SupportAsset,
+    find_pool,
     find_support,
 )
 from cluttergen_jax.config import ContactConfig
@@ -42,7 +41,15 @@ from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics, first_axis,
 from cluttergen_jax.downstream.transforms import rigid
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import rotate_in_plane, yaw_matrix
-from cluttergen_jax.rendering import Trail, add_lighting, contact_sheet, render_model
+from cluttergen_jax.rendering import (
+    CameraView,
+    Trail,
+    add_lighting,
+    contact_sheet,
+    fit_camera,
+    open_renderer,
+    set_range,
+)
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.tables import aligned_table
 
@@ -66,6 +73,7 @@ _GREEN = (0.2, 0.65, 0.3)
 _RED = (0.85, 0.2, 0.15)
 _SIZE = (560, 420)
 _EVERY = 48
+_SAMPLES = 8
 _LINK = 0.06
 """Metres around the middles of an arm's links that are in the picture."""
 
@@ -129,7 +137,8 @@ def check_reach(robot: RobotDescription) -> None:
     """
     tools = sampled_tools(robot)
     axis = first_axis(robot)
-    far, height = robot.distance, tools[:, 2, 3] + robot.height
+    far = robot.distance
+    height = tools[:, 2, 3] + robot.height
     off = np.linalg.norm(tools[:, :2, 3] - [far, 0.0], axis=1)
     if axis.sign:
         away = np.linalg.norm(tools[:, :2, 3] - axis.anchor[:2], axis=1)
@@ -280,17 +289,27 @@ def _cube(half: float) -> ObjectAsset:
     )
     faces = faces[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
     mass = _DENSITY * (2 * half) ** 3
-    return ObjectAsset(
+    # All else is as that of any object that stands upright.
+    like = find_pool("household").objects[0]
+    piece = replace(
+        like.pieces[0],
+        mesh=Mesh(corners, faces),
+        rgba=(0.85, 0.45, 0.15, 1.0),
+        uv=None,
+        texture=None,
+        colours=None,
+        finish=None,
+    )
+    return replace(
+        like,
         name="cube",
         label="cube",
-        pieces=(Piece(Mesh(corners, faces), (0.85, 0.45, 0.15, 1.0)),),
+        pieces=(piece,),
         parts=(Mesh.points(corners),),
         mass=mass,
         center_of_mass=np.zeros(3),
         inertia=np.eye(3) * mass * (2 * half) ** 2 / 6,
-        cloud=np.zeros((1024, 3), np.float32),
-        resting=(RestingPose((1.0, 0.0, 0.0, 0.0), half, 1.0),),
-        provenance=Provenance("cluttergen_jax", "Apache-2.0"),
+        resting=(replace(like.resting[0], quaternion=(1.0, 0.0, 0.0, 0.0), height=half),),
     )
 
 
@@ -306,33 +325,31 @@ def _picture(
     """Where the hand comes, green, and does not, red; and the cube in the end."""
     spec = with_robot(scene, robot)
     add_pedestals(spec, base_pose(scene.support, robot))
-    pictures = []
-    ends = []
-    for each in (spec, trace.spec_on_pedestals()):
-        ends.append(add_lighting(each).compile())
-    start = trace.states[0] if trace.states else trace.data.qpos
     width, height = _SIZE
+
+    def draw(drawn: mujoco.MjSpec, state: np.ndarray, trails: Sequence[Trail]) -> np.ndarray:
+        model = add_lighting(drawn).compile()
+        data = mujoco.MjData(model)
+        data.qpos[:] = state
+        mujoco.mj_forward(model, data)
+        arm = data.xpos[Robot.of(model, robot).is_arm]
+        content = np.concatenate([arm - _LINK, arm + _LINK, reached[:, :3]])
+        view = CameraView()
+        reach = set_range(model, content, view, width, height)
+        camera = fit_camera(content, view, width, height)
+        with open_renderer(model, width, height) as renderer:
+            image: np.ndarray = renderer.average(data, camera, _SAMPLES, reach, trails=trails)
+        return image
+
     trails = [
         Trail(np.array([[x, y, z + _FINGER], [x, y, z]]), _GREEN if is_reached else _RED)
         for x, y, z, is_reached in reached
     ]
-    for model, state, shown in ((ends[0], start, trails), (ends[1], trace.data.qpos, [])):
-        arm = _links(model, state, robot)
-        focus = np.concatenate([arm - _LINK, arm + _LINK, reached[:, :3]])
-        pictures.append(
-            render_model(
-                model, state, width=width, height=height, samples=8, trails=shown, focus=focus
-            )
-        )
+    end = trace.data.qpos
+    pictures = [
+        draw(spec, trace.states[0] if trace.states else end, trails),
+        draw(trace.spec_on_pedestals(), end, ()),
+    ]
     count = int(reached[:, 3].sum())
     captions = [f"{robot.name}: {count} of {len(reached)} poses reached", "the cube in the end"]
     return contact_sheet(pictures, captions, 2)
-
-
-def _links(model: mujoco.MjModel, state: np.ndarray, robot: RobotDescription) -> np.ndarray:
-    """f64[L, 3]: where the links of the arm are."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = state
-    mujoco.mj_kinematics(model, data)
-    found: np.ndarray = data.xpos[Robot.of(model, robot).is_arm]
-    return found

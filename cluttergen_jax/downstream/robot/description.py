@@ -79,14 +79,15 @@ def _without_unknown(path: Path, fault: str) -> mujoco.MjSpec | None:
         found = _UNKNOWN.search(fault)
         if found is None:
             return None
-        attribute, element, line = found[1], found[2], int(found[3]) - 1
+        attribute = found[1]
+        line = int(found[3]) - 1
         left, number = re.subn(
             rf"""\s{re.escape(attribute)}\s*=\s*("[^"]*"|'[^']*')""", "", lines[line], count=1
         )
         if not number:
             return None
         lines[line] = left
-        _name_unknown(f"{path}, line {line + 1}: {attribute!r} of <{element}>")
+        _name_unknown(f"{path}, line {line + 1}: {attribute!r} of <{found[2]}>")
         try:
             spec = mujoco.MjSpec.from_string("".join(lines))
         except ValueError as error:

@@ -25,8 +25,9 @@ _ROWS = 64
 _SETTLING = 0.25
 _OPENING = 4.0
 """Seconds that it has to open."""
-_STILL = 0.01
-"""Radians or metres a second up to which it does not move."""
+_MOVING = 0.01
+_STILL = 1e-3
+"""Radians or metres a second from which on it still opens, and up to which it has opened."""
 
 _LEAST_STEP = 1e-4
 """Metres by which a row is narrower than the one before it."""
@@ -162,8 +163,9 @@ def _close(model: mujoco.MjModel, robot: RobotDescription) -> GripperTable:
     for control in np.linspace(given.open, given.closed, _ROWS):
         data.ctrl[0] = control
         mujoco.mj_step(model, data, round(_SETTLING / model.opt.timestep))
-        while not rows and np.abs(data.qvel).max() > _STILL and data.time < _OPENING:
-            # A model need not begin open.
+        # A model need not begin open.
+        is_opening = not rows and np.abs(data.qvel).max() > _MOVING
+        while is_opening and np.abs(data.qvel).max() > _STILL and data.time < _OPENING:
             mujoco.mj_step(model, data)
         mujoco.mj_forward(model, data)
         width = mujoco.mj_geomDistance(model, data, *pads, _FAR, line)

@@ -312,7 +312,9 @@ def _arm(robot: RobotDescription) -> tuple[mujoco.MjModel, Robot]:
             body.explicitinertial = True
             body.mass = 1.0
             body.inertia = (1.0, 1.0, 1.0)
-    spec.body(robot.of_gripper(robot.gripper.body)).add_site(name=robot.of_gripper(_PIVOT))
+    # MuJoCo would take it for the body's frame wherever it is put, if it began there.
+    hand = spec.body(robot.of_gripper(robot.gripper.body))
+    hand.add_site(name=robot.of_gripper(_PIVOT), pos=(0.01, 0.02, 0.03), quat=(0.8, 0.6, 0.0, 0.0))
     model = compile_model(spec, robot.name)
     return model, Robot.of(model, robot, prefix="")
 
