@@ -349,7 +349,7 @@ class RobotEnv(gymnasium.Env):
         if (
             isinstance(episode, bool)
             or not isinstance(episode, Integral)
-            or (not 0 <= episode < number)
+            or not 0 <= int(episode) < number
         ):
             raise ConfigError(
                 f"episode {episode!r} of {self.recording.path}", range_text(0, number - 1)
