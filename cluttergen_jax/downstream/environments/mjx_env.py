@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -35,6 +35,9 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation import BankArrays, WorldState
 from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.types import Array
+
+if TYPE_CHECKING:
+    from cluttergen_jax.downstream.environments.api import MjxReward, MjxTask
 
 _MAX_STATE = 1e10
 """MuJoCo's own limit (mjMAXVAL): what is larger has diverged."""
