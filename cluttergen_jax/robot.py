@@ -5,9 +5,10 @@ from typing import TYPE_CHECKING
 from cluttergen_jax.lazy import name_space
 
 if TYPE_CHECKING:
+    from cluttergen_jax.downstream.environments.api import evaluate_policy, scripted_actions
     from cluttergen_jax.downstream.environments.api import make_robot_env as make_env
     from cluttergen_jax.downstream.environments.api import robot_record as record
-    from cluttergen_jax.downstream.environments.api import scripted_actions
+    from cluttergen_jax.downstream.environments.evaluation import PolicyEvaluation
     from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
     from cluttergen_jax.downstream.environments.recordings import Recording, read_recording
     from cluttergen_jax.downstream.environments.world import RobotWorld, with_robot
@@ -23,11 +24,13 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
+    "PolicyEvaluation",
     "RandomizationConfig",
     "Recording",
     "RobotDescription",
     "RobotWorld",
     "dataset",
+    "evaluate_policy",
     "grasps",
     "list_robots",
     "make_env",
@@ -42,11 +45,13 @@ __all__ = [
 __getattr__, __dir__ = name_space(
     __name__,
     {
+        "PolicyEvaluation": "downstream.environments.evaluation:PolicyEvaluation",
         "RandomizationConfig": "downstream.environments.randomization:RandomizationConfig",
         "Recording": "downstream.environments.recordings:Recording",
         "RobotDescription": "downstream.robot.description:RobotDescription",
         "RobotWorld": "downstream.environments.world:RobotWorld",
         "dataset": "downstream.robot.api:grasp_dataset",
+        "evaluate_policy": "downstream.environments.api:evaluate_policy",
         "grasps": "downstream.robot.api:robot_grasps",
         "list_robots": "downstream.robot.description:list_robots",
         "make_env": "downstream.environments.api:make_robot_env",

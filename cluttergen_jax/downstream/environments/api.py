@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from cluttergen_jax.downstream.environments.env import RobotAction, RobotEnv
+    from cluttergen_jax.downstream.environments.evaluation import Bound, Policy, PolicyEvaluation
     from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
     from cluttergen_jax.downstream.environments.recordings import Recording
     from cluttergen_jax.downstream.environments.world import RobotPhysics
@@ -146,6 +147,35 @@ def scripted_actions(env: RobotEnv, seed: int = 0) -> Iterator[np.ndarray]:
     from cluttergen_jax.downstream.environments.scripted import plan_actions
 
     return plan_actions(env, seed)
+
+
+def evaluate_policy(
+    env: RobotEnv,
+    policy: Policy | Bound,
+    *,
+    scenes: Sequence[int] | None = None,
+    seed: int = 0,
+) -> PolicyEvaluation:
+    """Runs a policy once in each scene; successes by neighbours, gap and hidden share of the target.
+
+        print(cg.robot.evaluate_policy(env, lambda seen: np.zeros(8)))
+
+    Args:
+      env: from `make_env`; of a bank that was not trained on. Equal seeds give equal starts.
+      policy: a function from what is observed to an action (`RobotEnv`); if it has a method `reset`, that is
+        called before each episode. Or "scripted" (`scripted_actions`), or "random".
+      scenes: their numbers in the bank; all that the task can be done in if not given.
+      seed: of what the episodes draw.
+
+    Returns:
+      The episodes; printed, shares of success with their 95 % intervals.
+
+    Raises:
+      ConfigError: the policy is none, its actions are none, or there is no such scene.
+    """
+    from cluttergen_jax.downstream.environments.evaluation import evaluate
+
+    return evaluate(env, policy, scenes, seed)
 
 
 @with_own_settings

@@ -278,6 +278,15 @@ class RobotEnv(gymnasium.Env):
         return self._begin(state, found, start.scene, start.seed, start.words)
 
     @property
+    def scenes(self) -> list[int]:
+        """The numbers of the bank's scenes that the task can be done in, which `reset` draws from.
+
+        Raises:
+          ConfigError: there is none.
+        """
+        return np.asarray(self.world.bank.index)[self._known_places()].tolist()
+
+    @property
     def saved_start(self) -> SavedStart:
         """How this episode began, as numbers and names."""
         if self.start is None:
@@ -356,17 +365,21 @@ class RobotEnv(gymnasium.Env):
             )
         return self.recording.start(int(episode))
 
-    def _place_of(self, number: Any) -> int:
+    def _known_places(self) -> np.ndarray:
         if self._places is None:
             self._places = self.task_kind.places(self.world.bank)
+        return self._places
+
+    def _place_of(self, number: Any) -> int:
+        places = self._known_places()
         if number is None:
-            return int(self.np_random.choice(self._places))
-        known = np.asarray(self.world.bank.index)[self._places]
+            return int(self.np_random.choice(places))
+        known = np.asarray(self.world.bank.index)[places]
         if isinstance(number, bool) or not isinstance(number, Integral) or number not in known:
             raise ConfigError(
                 f"scene {number!r} for {self.task}", f"one of {', '.join(map(str, known[:20]))}"
             )
-        return int(self._places[np.flatnonzero(known == number)[0]])
+        return int(places[np.flatnonzero(known == number)[0]])
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, Info]:
         """One step of control. After the episode's last one, `reset` has to follow."""
