@@ -125,7 +125,7 @@ def evaluate(
     asked = env.scenes if scenes is None else list(scenes)
     if not asked:
         raise ConfigError("an evaluation in no scene", "one or more", "scenes=None, all")
-    view = _TargetView()
+    view = TargetView()
     found = []
     good = 0
     with Progress("evaluation", len(asked), "episode") as progress:
@@ -133,7 +133,7 @@ def evaluate(
             drawn = episode_seed(seed, number)
             seen, _ = env.reset(seed=drawn, options={"scene": scene})
             assert env.start is not None
-            clutter = _clutter(env, env.start, view)
+            clutter = clutter_of(env, env.start, view)
             start = env.saved_start
             ending = _run(env, policy, seen, drawn)
             episode = PolicyEpisode(start.scene, start.target, *ending, *clutter)
@@ -171,7 +171,7 @@ def _run(
             return info["outcome"], num_steps
 
 
-def _clutter(env: RobotEnv, start: EpisodeStart, view: _TargetView) -> tuple[int, float, float]:
+def clutter_of(env: RobotEnv, start: EpisodeStart, view: TargetView) -> tuple[int, float, float]:
     """Neighbours, gap and hidden share of the target, where the hand has to find it or bring it."""
     target = start.target
     poses = np.array(start.scene.poses, np.float64)
@@ -185,7 +185,7 @@ def _clutter(env: RobotEnv, start: EpisodeStart, view: _TargetView) -> tuple[int
     return int((apart < NEAR).sum()), gap, view.hidden(start, poses)
 
 
-class _TargetView:
+class TargetView:
     """What other objects hide of the target from a camera that stands still; its last model is kept."""
 
     def __init__(self) -> None:
