@@ -20,6 +20,7 @@ from cluttergen_jax.downstream.words import (
     RecordFormat,
     RobotCamera,
     RobotEnvTask,
+    RobotPhysics,
     check_choice,
 )
 from cluttergen_jax.errors import ConfigError, MissingExtraError, closest
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.environments.mjx_env import MjxRobotEnv
     from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
     from cluttergen_jax.downstream.environments.recordings import Recording
-    from cluttergen_jax.downstream.environments.world import RobotPhysics
     from cluttergen_jax.downstream.robot.description import RobotDescription, RobotLike
     from cluttergen_jax.generation import BankArrays
 

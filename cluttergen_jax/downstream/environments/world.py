@@ -142,7 +142,6 @@ def move_tool(T_world_tool: np.ndarray, shift: np.ndarray, turn: np.ndarray) -> 
     return pose
 
 
-RobotPhysics = Literal["accurate", "learning"]
 LEARNING_STEP = 1 / 480
 """Seconds."""
 _ITERATIONS = 10
