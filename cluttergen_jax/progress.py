@@ -163,6 +163,10 @@ class Progress:
         self.title = title
         self._bar.set_description(title, refresh=False)
 
+    def say_compiling(self) -> None:
+        """That what follows waits for the compiler first."""
+        self.say(COMPILING)
+
     def say(self, text: str) -> None:
         """A line that stays."""
         if self._is_log:

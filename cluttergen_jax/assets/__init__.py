@@ -7,13 +7,7 @@ from cluttergen_jax.lazy import offer
 if TYPE_CHECKING:
     from cluttergen_jax.assets.facts import ObjectFacts
     from cluttergen_jax.assets.mesh import Mesh, join_meshes
-    from cluttergen_jax.assets.mjcf import (
-        VISUAL_GROUP,
-        add_object,
-        add_part,
-        own_contact,
-        populated_spec,
-    )
+    from cluttergen_jax.assets.mjcf import VISUAL_GROUP, add_object, add_part, populated_spec
     from cluttergen_jax.assets.obj import mesh_text
     from cluttergen_jax.assets.object import ObjectAsset
     from cluttergen_jax.assets.object_files import object_hash
@@ -27,7 +21,7 @@ __getattr__, __all__ = offer(
     {
         "facts": ("ObjectFacts",),
         "mesh": ("Mesh", "join_meshes"),
-        "mjcf": ("VISUAL_GROUP", "add_object", "add_part", "own_contact", "populated_spec"),
+        "mjcf": ("VISUAL_GROUP", "add_object", "add_part", "populated_spec"),
         "obj": ("mesh_text",),
         "object": ("ObjectAsset",),
         "object_files": ("object_hash",),

@@ -2,14 +2,5 @@
 
 readers: of files. planning: which objects will be made. settings: how. processes: each in one of its own.
 solo_stability: whether an object stands alone. cache: what was made before. run: many objects, and the
-report. supports: furniture as a support. single: one mesh as a body.
+report. supports: furniture as a support.
 """
-
-from typing import TYPE_CHECKING
-
-from cluttergen_jax.lazy import offer
-
-if TYPE_CHECKING:
-    from cluttergen_jax.importing.single import body_of
-
-__getattr__, __all__ = offer(__name__, {"single": ("body_of",)})

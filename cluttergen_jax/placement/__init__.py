@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from cluttergen_jax.lazy import offer
 
 if TYPE_CHECKING:
-    from cluttergen_jax.placement.boxes import Boxes, gaps
+    from cluttergen_jax.placement.boxes import gaps_in_plan
     from cluttergen_jax.placement.config import MIN_MARGIN, PlacementConfig
     from cluttergen_jax.placement.heightmap import VOID, HeightMap, HeightMapper
     from cluttergen_jax.placement.methods.baselines import LowestFit, cost_of_lowest_fit
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 __getattr__, __all__ = offer(
     __name__,
     {
-        "boxes": ("Boxes", "gaps"),
+        "boxes": ("gaps_in_plan",),
         "config": ("MIN_MARGIN", "PlacementConfig"),
         "heightmap": ("HeightMap", "HeightMapper", "VOID"),
         "methods.baselines": ("LowestFit", "cost_of_lowest_fit"),

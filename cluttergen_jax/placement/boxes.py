@@ -195,3 +195,9 @@ def spacing_of(half_extents: Array, poses: Array, is_there: Array) -> tuple[Arra
 def footprint_area(half_extents: Array) -> Array:
     """f32[K], square metres: boxes seen from above, of half extents f32[K, 3]."""
     return 4 * half_extents[:, 0] * half_extents[:, 1]
+
+
+def gaps_in_plan(half_extents: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """f32[N, N], metres: `gaps` of objects as boxes, of half extents f[N, 3] at world poses f[N, 7]."""
+    boxes = Boxes.of(jnp.asarray(half_extents, jnp.float32), jnp.asarray(poses, jnp.float32))
+    return np.asarray(gaps(boxes, boxes))

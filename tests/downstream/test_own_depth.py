@@ -11,7 +11,7 @@ from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.downstream.noise import REALSENSE, noisy
 from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes, ProposalJudge
 from cluttergen_jax.errors import AssetError, ConfigError
-from cluttergen_jax.importing import body_of
+from cluttergen_jax.generation import body_of
 from cluttergen_jax.sensing import RaySensor, free, sensed_model
 from cluttergen_jax.types import Verdict
 

@@ -145,7 +145,7 @@ def test_a_round_ends_after_two_failures_in_a_row_and_where_nobody_proposes():
     assert (found.left, found.gave_up) == (1, True)
     both = rounds.ClutterRounds("vgn", "mine", "panda", (found, found))
     assert (both.num_attempts, both.num_cleared, both.num_objects) == (2, 2, 4)
-    assert "50.0 % (15 to 85) of 4 objects" in str(both)
+    assert "0.500 [0.150, 0.850] of 4 objects" in str(both)
 
 
 def test_what_is_outside_of_the_cube_does_not_count():

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
 from cluttergen_jax.downstream.environments.tasks import TASKS
 from cluttergen_jax.downstream.environments.world import support_of, with_robot
-from cluttergen_jax.downstream.words import RobotPhysics
 from cluttergen_jax.downstream.robot.description import RobotLike
+from cluttergen_jax.downstream.words import RobotPhysics
 from cluttergen_jax.errors import ConfigError, MissingExtraError, closest
 from cluttergen_jax.generation import BankArrays, load_bank
 

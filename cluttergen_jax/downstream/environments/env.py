@@ -15,7 +15,6 @@ import numpy as np
 from gymnasium import spaces
 
 from cluttergen_jax.assets import VISUAL_GROUP
-from cluttergen_jax.config import no_such
 from cluttergen_jax.downstream.environments.recordings import Recording, SavedStart
 from cluttergen_jax.downstream.environments.tasks import EpisodeStart, Task, WorldExecution
 from cluttergen_jax.downstream.environments.world import (
@@ -28,7 +27,7 @@ from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.transforms import pose_of
 from cluttergen_jax.downstream.words import check_choice
-from cluttergen_jax.errors import ConfigError, range_text
+from cluttergen_jax.errors import ConfigError, closest, range_text
 from cluttergen_jax.generation import WorldState, required_recipe
 from cluttergen_jax.rendering import new_context
 
@@ -38,7 +37,8 @@ def check_cameras(model: mujoco.MjModel, names: tuple[str, ...], prefix: str) ->
     known = [model.camera(number).name for number in range(model.ncam)]
     for name in names:
         if name not in known and prefix + name not in known:
-            raise no_such("camera", name, [each.removeprefix(prefix) for each in known])
+            short = [each.removeprefix(prefix) for each in known]
+            raise ConfigError(f"camera {name!r}", ", ".join(short), meant=closest(name, short))
 
 
 class Pictures:

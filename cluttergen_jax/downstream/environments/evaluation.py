@@ -14,7 +14,7 @@ from cluttergen_jax.downstream.environments.tasks import EpisodeStart
 from cluttergen_jax.downstream.robot import episode_seed
 from cluttergen_jax.downstream.robot.outcome import Outcome
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.placement import Boxes, gaps
+from cluttergen_jax.placement import gaps_in_plan
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene import scene_cameras
 from cluttergen_jax.sensing import FIRST_OBJECT, RaySensor, sensed_model
@@ -178,9 +178,8 @@ def clutter_of(env: RobotEnv, start: EpisodeStart, view: TargetView) -> tuple[in
     if not env.task_kind.has_goals:
         # What is to be placed comes among the others; what is to be grasped has its own pose for a goal.
         poses[target] = start.goals[target]
-    half = np.array([each.half_extents for each in start.scene.objects], np.float32)
-    boxes = Boxes.of(half, poses.astype(np.float32))
-    apart = np.delete(np.asarray(gaps(boxes, boxes))[target], target)
+    half = np.array([each.half_extents for each in start.scene.objects])
+    apart = np.delete(gaps_in_plan(half, poses)[target], target)
     gap = float(apart.min()) if len(apart) else float("inf")
     return int((apart < NEAR).sum()), gap, view.hidden(start, poses)
 

@@ -6,7 +6,7 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import mujoco
@@ -29,7 +29,7 @@ from cluttergen_jax.downstream.robot.model import Robot as Arm
 from cluttergen_jax.downstream.robot.model import add_pedestals, base_pose, remove_unused_meshes
 from cluttergen_jax.downstream.robot.model import arm_spec as whole_arm
 from cluttergen_jax.downstream.robot.motion.collision import add_stand
-from cluttergen_jax.downstream.words import check_choice
+from cluttergen_jax.downstream.words import RobotPhysics, check_choice
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation import BankArrays, BankAttachment, BankWorld, WorldState
 from cluttergen_jax.rendering import add_lighting

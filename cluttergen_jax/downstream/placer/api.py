@@ -88,7 +88,7 @@ def placer_data(
     from cluttergen_jax.downstream.placer.pair_maker import split_of, write_pairs
     from cluttergen_jax.downstream.placer.pairs import PAIRS
     from cluttergen_jax.downstream.samples import SPLITS
-    from cluttergen_jax.scene import AGAIN, Bank
+    from cluttergen_jax.scene import Bank
 
     check_folder(out)
     check_workers("num_threads", num_threads)
@@ -122,7 +122,8 @@ def placer_data(
         check_one_level(found.support, "a placer")
         if "assets" not in found.record:
             raise BankError(
-                f"{bank} has no digests of its assets: an older version made it", hint=AGAIN
+                f"{bank} has no digests of its assets: an older version made it",
+                hint="generating the bank again",
             )
         if entry_of(found.recipe.get("method")).is_whole:
             hint = "generate --method guided"

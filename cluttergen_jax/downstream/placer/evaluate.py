@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -32,7 +33,7 @@ from cluttergen_jax.downstream.placer.query import (
 from cluttergen_jax.downstream.placer.scored import placer_folder
 from cluttergen_jax.downstream.samples import SPLITS
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.evaluation import Store, json_bytes, versions
+from cluttergen_jax.evaluation import Store, versions
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.learning import checkpoint_of
 from cluttergen_jax.own_parts import part_label, part_name
@@ -294,9 +295,11 @@ class PlacerComparison:
     def write(self, folder: Path) -> None:
         """Writes table.md and results.json."""
         write_atomically(folder / "table.md", f"{self}\n".encode())
-        write_atomically(folder / "results.json", json_bytes(self.rows))
-        if self.chains:
-            write_atomically(folder / "chains.json", json_bytes(self.chains))
+        made = {"results.json": self.rows, "chains.json": self.chains}
+        for name, rows in made.items():
+            if rows or name == "results.json":
+                text = json.dumps(rows, indent=1, allow_nan=False)
+                write_atomically(folder / name, f"{text}\n".encode())
 
 
 class PlacerTrials:

@@ -30,12 +30,12 @@ from cluttergen_jax.downstream.placer.query import (
     pad_map,
 )
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
-from cluttergen_jax.errors import ClutterGenError, ConfigError
+from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.generation import body_of, setup_alone
 from cluttergen_jax.geometry import yaw_quaternion
-from cluttergen_jax.importing import body_of
 from cluttergen_jax.numerics import new_key, with_own_settings
 from cluttergen_jax.own_parts import array_of, is_own, part_name
-from cluttergen_jax.placement import VOID, HeightMap, PlacementConfig, ProblemConfig, compose
+from cluttergen_jax.placement import VOID, HeightMap
 from cluttergen_jax.sensing import Camera, Grid, level_camera
 
 _FARTHEST = 20.0
@@ -249,7 +249,7 @@ def _support_of(region: Any, height: float | None) -> tuple[SupportAsset, bool]:
             region = region_of_text(region, Rectangle())
         if isinstance(region, str | Path):
             region = find_support(region)
-    except ClutterGenError as error:
+    except (ConfigError, PoolError) as error:
         raise ConfigError(f"region {region!r}: {error.given}", _FORMS, "'0,0,0.4,0.3'") from error
     if isinstance(region, SupportAsset):
         if height is not None:
@@ -277,14 +277,7 @@ def _maker_of(
 ) -> QueryMaker:
     """Of queries for an object on a support, or on a level that goes on so far beyond the region."""
     support = known or _slab(region, level, beyond)
-    config = ProblemConfig(
-        objects=(asset.name,),
-        region=region,
-        engine="native",
-        num_threads=1,
-        placement=PlacementConfig(num_objects=1),
-    )
-    return QueryMaker(compose([asset], support, config))
+    return QueryMaker(setup_alone(asset, support, region))
 
 
 def _over_region(view: DepthView, maker: QueryMaker) -> DepthView:

@@ -45,7 +45,7 @@ from cluttergen_jax.placement import (
     SearchConfig,
     draw_candidates,
 )
-from cluttergen_jax.progress import COMPILING, Progress
+from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene import Bank, assets_section, front_matter, write_unless_own
 from cluttergen_jax.sensing import FIRST_OBJECT, SUPPORT, Camera
 from cluttergen_jax.tables import markdown_table
@@ -393,7 +393,7 @@ def write_pairs(
             f"pairs of {split}", total, "pair", total - sum(missing.values())
         ) as progress:
             if missing:
-                progress.say(COMPILING)
+                progress.say_compiling()
             for block, rows in missing.items():
                 PAIRS.write_block(path, split, block, maker.block(block, rows, progress.update))
             progress.update(0, f"{progress.rate():.1f} pairs/s")

@@ -9,7 +9,7 @@ from typing import Self
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets import VISUAL_GROUP, Box, SupportAsset, own_contact
+from cluttergen_jax.assets import VISUAL_GROUP, Box, SupportAsset
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.robot.description import (
     GripperDescription,
@@ -262,7 +262,9 @@ def _prepare_pads(spec: mujoco.MjSpec, gripper: GripperDescription, contact: Con
     """Pads of a friction of their own: it decides whatever they touch."""
     if gripper.friction is None:
         return
-    friction, _ = own_contact(gripper.friction, contact.friction)
+    # In the proportions of the contact's, and scaled with it, as objects' own are.
+    scale = gripper.friction / ContactConfig().friction[0]
+    friction = [scale * each for each in contact.friction]
     for geom in pad_geoms(spec, gripper):
         geom.friction = friction
         geom.priority = PAD_PRIORITY

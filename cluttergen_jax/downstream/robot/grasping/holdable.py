@@ -9,7 +9,7 @@ from cluttergen_jax.assets import ObjectAsset, find_pool
 from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
 from cluttergen_jax.downstream.robot.grasping.grasps import MIN_GRASPS, grasp_file, grasps_of
 from cluttergen_jax.downstream.robot.gripper import gripper_of
-from cluttergen_jax.errors import BankError, ConfigError, first_names
+from cluttergen_jax.errors import BankError, ConfigError
 
 _SECONDS = 5
 """Of a core, about, that the grasps of one object take."""
@@ -49,7 +49,7 @@ def graspable_names(pool: str, names: Sequence[str], robot: str) -> tuple[str, .
         _SAID.add(said)
         print(
             f"grasps     the hand of {described.name} holds {len(kept)} of {len(names)} objects; not "
-            f"{first_names(missing, _MOST_NAMED)}",
+            f"{', '.join(missing[:_MOST_NAMED])}{' and others' if missing[_MOST_NAMED:] else ''}",
             file=sys.stderr,
         )
     return tuple(kept)

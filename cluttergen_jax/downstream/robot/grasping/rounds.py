@@ -52,7 +52,7 @@ from cluttergen_jax.files import write_atomically
 from cluttergen_jax.own_parts import array_of, load_module, part_name
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene import Scene, read_bank, read_scenes
-from cluttergen_jax.statistics import wilson
+from cluttergen_jax.statistics import share_of
 
 MOST_FAILURES = 2
 """In a row, after which a round is over; VGN's `MAX_CONSECUTIVE_FAILURES`."""
@@ -178,8 +178,8 @@ class ClutterRounds:
         lines = [
             f"rounds     {len(self.rounds)} piles, rule {self.rule}, proposer {self.proposer}, "
             f"hand of {self.robot}",
-            f"success    {share_text(self.num_cleared, self.num_attempts)} attempts",
-            f"cleared    {share_text(self.num_cleared, self.num_objects)} objects",
+            f"success    {share_of(self.num_cleared, self.num_attempts)} attempts",
+            f"cleared    {share_of(self.num_cleared, self.num_objects)} objects",
             f"failures   {failures or 'none'}; gave up {gave_up} times",
         ]
         if outside:
@@ -187,14 +187,6 @@ class ClutterRounds:
                 f"left out   {outside} objects outside of the cube of {CUBE:g} m about the region's middle"
             )
         return "\n".join(lines)
-
-
-def share_text(good: int, number: int) -> str:
-    """A share in per cent with its 95 % interval, and of how many."""
-    if not number:
-        return "0 of 0"
-    low, high = wilson(good, number)
-    return f"{100 * good / number:.1f} % ({100 * low:.0f} to {100 * high:.0f}) of {number}"
 
 
 @dataclass(frozen=True)

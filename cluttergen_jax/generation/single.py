@@ -15,15 +15,30 @@ from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shape import Piece, Provenance, Shape
 from cluttergen_jax.assets.solid import solid_of
+from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.errors import AssetError
 from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
 from cluttergen_jax.importing.readers.read import MAX_SIZE, MIN_SIZE
 from cluttergen_jax.importing.readers.source import own_up, turn_of
+from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.problem import ProblemConfig, Setup, compose
 
 _FORMS = (
     "a file that `cluttergen import` reads, a mesh with `vertices` f[V, 3] and `faces` i[F, 3] "
     "(trimesh), or an object of a pool"
 )
+
+
+def setup_alone(asset: ObjectAsset, support: SupportAsset, region: Rectangle) -> Setup:
+    """The placement of one object alone in a region of a support."""
+    config = ProblemConfig(
+        objects=(asset.name,),
+        region=region,
+        engine="native",
+        num_threads=1,
+        placement=PlacementConfig(num_objects=1),
+    )
+    return compose([asset], support, config)
 
 
 def body_of(mesh: Any) -> tuple[ObjectAsset, np.ndarray]:
