@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.generation.bank import BankArrays, load_bank, stream_bank
     from cluttergen_jax.generation.bank_world import BankAttachment, BankWorld, WorldState
     from cluttergen_jax.generation.sampler import Sampler, make_sampler
-    from cluttergen_jax.generation.single import body_of, setup_alone
+    from cluttergen_jax.generation.single import body_of, problem_alone
     from cluttergen_jax.generation.sources.replay import setup_of
 
 __getattr__, __all__ = offer(
@@ -23,7 +23,7 @@ __getattr__, __all__ = offer(
         "bank": ("BankArrays", "load_bank", "stream_bank"),
         "bank_world": ("BankAttachment", "BankWorld", "WorldState"),
         "sampler": ("Sampler", "make_sampler"),
-        "single": ("body_of", "setup_alone"),
+        "single": ("body_of", "problem_alone"),
         "sources.replay": ("setup_of",),
     },
 )

@@ -21,7 +21,7 @@ from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_sha
 from cluttergen_jax.importing.readers.read import MAX_SIZE, MIN_SIZE
 from cluttergen_jax.importing.readers.source import own_up, turn_of
 from cluttergen_jax.placement.config import PlacementConfig
-from cluttergen_jax.placement.problem import ProblemConfig, Setup, compose
+from cluttergen_jax.placement.problem import Problem, ProblemConfig, compose
 
 _FORMS = (
     "a file that `cluttergen import` reads, a mesh with `vertices` f[V, 3] and `faces` i[F, 3] "
@@ -29,7 +29,7 @@ _FORMS = (
 )
 
 
-def setup_alone(asset: ObjectAsset, support: SupportAsset, region: Rectangle) -> Setup:
+def problem_alone(asset: ObjectAsset, support: SupportAsset, region: Rectangle) -> Problem:
     """The placement of one object alone in a region of a support."""
     config = ProblemConfig(
         objects=(asset.name,),

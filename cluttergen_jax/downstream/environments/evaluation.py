@@ -133,10 +133,10 @@ def evaluate(
             drawn = episode_seed(seed, number)
             seen, _ = env.reset(seed=drawn, options={"scene": scene})
             assert env.start is not None
-            clutter = clutter_of(env, env.start, view)
+            around = clutter_of(env, env.start, view)
             start = env.saved_start
-            ending = _run(env, policy, seen, drawn)
-            episode = PolicyEpisode(start.scene, start.target, *ending, *clutter)
+            outcome, num_steps = _run(env, policy, seen, drawn)
+            episode = PolicyEpisode(start.scene, start.target, outcome, num_steps, *around)
             found.append(episode)
             good += episode.is_success
             progress.update(note=f"{good} good")

@@ -31,7 +31,7 @@ from cluttergen_jax.downstream.placer.query import (
 )
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, pose_of
 from cluttergen_jax.errors import ConfigError, PoolError
-from cluttergen_jax.generation import body_of, setup_alone
+from cluttergen_jax.generation import body_of, problem_alone
 from cluttergen_jax.geometry import yaw_quaternion
 from cluttergen_jax.numerics import new_key, with_own_settings
 from cluttergen_jax.own_parts import array_of, is_own, part_name
@@ -277,7 +277,7 @@ def _maker_of(
 ) -> QueryMaker:
     """Of queries for an object on a support, or on a level that goes on so far beyond the region."""
     support = known or _slab(region, level, beyond)
-    return QueryMaker(setup_alone(asset, support, region))
+    return QueryMaker(problem_alone(asset, support, region))
 
 
 def _over_region(view: DepthView, maker: QueryMaker) -> DepthView:
