@@ -340,7 +340,7 @@ def test_quaternions_have_the_sign_that_mujoco_gives_them():
         ({"bank": 7}, "load_bank"),
         (
             {"robot": dataclasses.replace(find_robot("panda"), distance=1.9)},
-            r"comes no nearer than \d.\d+ m",
+            "reaches nothing",
         ),
     ],
 )

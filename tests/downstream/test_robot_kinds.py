@@ -32,7 +32,6 @@ from cluttergen_jax.downstream.robot.model import (
 from cluttergen_jax.downstream.robot.motion.collision import Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Trace
 from cluttergen_jax.downstream.robot.motion.ik import MOST_ASKEW, TOLERANCE, ArmKinematics
-from cluttergen_jax.downstream.robot.recording import EpisodeRecording
 from cluttergen_jax.downstream.transforms import angle_between, inverse, rigid
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import yaw_matrix
@@ -316,7 +315,6 @@ def test_recordings_and_environments_stand_on_pedestals_as_films_do(tmp_path):
     low = stand.center[2] - stand.half_extents[2]
     expected = pytest.approx([low, table.top])
     assert pillars(trace.spec_on_pedestals().compile()) == expected
-    assert pillars(EpisodeRecording(0, "", True, trace, {})._model) == expected
     assert pillars(trace.spec.compile()) == []
     bank = cg.load_bank(write_bank(tmp_path / "bank", 2).path)
     world = cg.robot.with_robot(bank, stands=(stand,))

@@ -148,10 +148,11 @@ def check_reach(robot: RobotDescription) -> None:
     if is_over.any():
         return
     reach = float(np.linalg.norm(tools[:, :2, 3] - axis.anchor[:2], axis=1).max())
-    lowest = float(height[off < _NEAR].min()) if (off < _NEAR).any() else np.nan
+    is_there = off < _NEAR
+    lowest = f"; the lowest there is {height[is_there].min():.2f} m high" if is_there.any() else ""
     raise ConfigError(
         f"robot {robot.name} reaches nothing: of {len(tools)} random joints none brings its tool, z down, "
-        f"over a table {far:g} m away (it reaches {reach:.2f} m; the lowest there is {lowest:.2f} m high)",
+        f"over a table {far:g} m away (it reaches {reach:.2f} m{lowest})",
         "an arm that brings its hand straight down over the region's middle",
         "`distance`, `height`, wider `arm.limits`, or the z of gripper.tool, the direction of approach; "
         + HINT,
