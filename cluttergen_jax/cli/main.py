@@ -341,7 +341,9 @@ COMMANDS = {
     "pretrain": "Pretrain a point encoder by classifying shapes. Rerun to resume.",
     "evaluate": "Compare methods on pools and supports.",
     "placer": "Stable placement from one camera's view: `placer data`, `placer train` and `placer eval`.",
-    "robot": "A robot arm in simulation: `robot grasps`, `robot place`, `robot check` and others.",
+    "robot": (
+        "A robot arm in simulation: grasps, episodes, recordings, grasp data, rounds in clutter, checks."
+    ),
     "rearrange": "Let a simulated robot arm rearrange the objects of scenes (extra `robot`).",
     "import": (
         "Import objects as a pool, or a table: OBJ, STL, PLY, GLB, GLTF, DAE, URDF, SDF, MJCF, or `ycb`."

@@ -79,6 +79,7 @@ WRITERS = {
     "robot place bank": Writing(
         "robot place --pool {trio} --num-objects 2 --out {out}", "{out}/bank"
     ),
+    "robot record": Writing("robot record {bank} --out {out}"),
     "robot dataset": Writing("robot dataset {bank} --out {out}"),
     "robot check": Writing("robot check panda --picture {out}.png", "{out}.png", is_beside=True),
     "robot clear": Writing("robot clear {bank} --out {out}.json", "{out}.json", is_beside=True),

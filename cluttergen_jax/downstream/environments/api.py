@@ -360,6 +360,7 @@ def robot_record(
     from cluttergen_jax.downstream.environments.demonstrations import capture, open_folder
     from cluttergen_jax.downstream.environments.recordings import read_recording
     from cluttergen_jax.downstream.robot import episode_seed
+    from cluttergen_jax.kept_folder import hold_folder
     from cluttergen_jax.progress import Progress
 
     check_folder(out)
@@ -367,28 +368,35 @@ def robot_record(
     check_range("seed", seed, 0, _MOST_SEED, 0)
     check_choice("action", action, Literal["joint", "joint_delta"])
     check_choice("record_format", record_format, RecordFormat)
-    env = make_robot_env(
-        task, bank, robot, action=action, cameras=cameras, image_size=image_size, physics=physics
-    )
-    _check_drawing(cameras)
-    folder = open_folder(env, Path(out), record_format, {"seed": seed})
-    try:
-        known = folder.numbers()
-        good = 0
-        with Progress("recording", num_episodes, "episode", kept=len(known)) as progress:
-            for number in range(num_episodes):
-                if number in known:
-                    continue
-                drawn = episode_seed(seed, number)
-                seen, _ = env.reset(seed=drawn)
-                episode = capture(env, number, seen, scripted_actions(env, drawn))
-                assert episode is not None
-                folder.add(episode)
-                good += episode.is_success
-                progress.update(note=f"{good} good, the last: {episode.outcome or 'not over'}")
-    finally:
-        folder.finish()
-        env.close()
+    with hold_folder(Path(out)):
+        env = make_robot_env(
+            task,
+            bank,
+            robot,
+            action=action,
+            cameras=cameras,
+            image_size=image_size,
+            physics=physics,
+        )
+        _check_drawing(cameras)
+        folder = open_folder(env, Path(out), record_format, {"seed": seed})
+        try:
+            known = folder.numbers()
+            good = 0
+            with Progress("recording", num_episodes, "episode", kept=len(known)) as progress:
+                for number in range(num_episodes):
+                    if number in known:
+                        continue
+                    drawn = episode_seed(seed, number)
+                    seen, _ = env.reset(seed=drawn)
+                    episode = capture(env, number, seen, scripted_actions(env, drawn))
+                    assert episode is not None
+                    folder.add(episode)
+                    good += episode.is_success
+                    progress.update(note=f"{good} good, the last: {episode.outcome or 'not over'}")
+        finally:
+            folder.finish()
+            env.close()
     return read_recording(out)
 
 

@@ -23,7 +23,7 @@ def write_npz(path: Path, **arrays: Any) -> None:
 def write_npy(path: Path, array: np.ndarray) -> None:
     """Writes one array."""
     buffer = io.BytesIO()
-    np.save(buffer, array)
+    np.save(buffer, array, allow_pickle=False)
     write_atomically(path, buffer.getvalue())
 
 

@@ -232,7 +232,7 @@ class ObjectSets:
         write_npz(self._part(asset), mean=mean, simulated=simulated, **labels._asdict())
 
     def _read_object(self, asset: ObjectAsset) -> None:
-        with np.load(self._part(asset)) as kept:
+        with np.load(self._part(asset), allow_pickle=False) as kept:
             self.labels[asset.name] = ObjectLabels(*(kept[name] for name in ObjectLabels._fields))
             self._means[asset.name] = kept["mean"]
             self.simulated.append(kept["simulated"])
@@ -279,7 +279,8 @@ class ObjectSets:
         wrenches = []
         masks = []
         for asset, T in zip(scene.objects, matrix_of(scene.poses), strict=True):
-            with np.load(root / f"seal_label/{self.ids[asset.name]:03d}_seal.npz") as kept:
+            path = root / f"seal_label/{self.ids[asset.name]:03d}_seal.npz"
+            with np.load(path, allow_pickle=False) as kept:
                 points = kept["points"]
                 poses = facing_poses(points, -kept["normals"], np.zeros(len(points)))
             load = gravity_load(asset, poses, -T[2, :3], cup)
@@ -315,7 +316,7 @@ class ObjectSets:
                 self._root(GRASPNET_FOLDER) / f"grasp_label/{self.ids[asset.name]:03d}_labels.npz"
             )
             assert isinstance(self._hand, RobotDescription)
-            with np.load(path) as kept:
+            with np.load(path, allow_pickle=False) as kept:
                 labels = graspnet.DenseLabels(
                     *(kept[name] for name in graspnet.DenseLabels._fields)
                 )
