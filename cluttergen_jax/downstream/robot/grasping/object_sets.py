@@ -279,8 +279,8 @@ class ObjectSets:
         wrenches = []
         masks = []
         for asset, T in zip(scene.objects, matrix_of(scene.poses), strict=True):
-            path = root / f"seal_label/{self.ids[asset.name]:03d}_seal.npz"
-            with np.load(path, allow_pickle=False) as kept:
+            sealed = root / f"seal_label/{self.ids[asset.name]:03d}_seal.npz"
+            with np.load(sealed, allow_pickle=False) as kept:
                 points = kept["points"]
                 poses = facing_poses(points, -kept["normals"], np.zeros(len(points)))
             load = gravity_load(asset, poses, -T[2, :3], cup)
