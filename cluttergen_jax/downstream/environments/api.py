@@ -408,7 +408,7 @@ def _check_drawing(cameras: Sequence[str]) -> None:
         find_backend()
 
 
-def _recorded(function: Result) -> Result:
+def _with_recorder(function: Result) -> Result:
     """The same function, whose argument `record` is a folder.
 
     Planners know no environments, so a recorder is handed to them.
@@ -455,5 +455,5 @@ def _recorder(folder: Any, form: RecordFormat, cameras: Sequence[str | Path]) ->
     return TraceRecording(Path(folder), form, names)
 
 
-robot_place = _recorded(robot_api.robot_place)
-rearrange = _recorded(rearrange_api.rearrange)
+robot_place = _with_recorder(robot_api.robot_place)
+rearrange = _with_recorder(rearrange_api.rearrange)

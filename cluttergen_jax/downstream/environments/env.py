@@ -125,7 +125,7 @@ _TOOL_MOTION = ("move_x", "move_y", "move_z", "turn_x", "turn_y", "turn_z")
 Info = dict[str, Any]
 
 
-def _named(what: str) -> list[str]:
+def _pose_names(what: str) -> list[str]:
     """Of the numbers of a pose."""
     return [f"{what}_{axis}" for axis in _AXES]
 
@@ -230,7 +230,12 @@ class RobotEnv(gymnasium.Env):
     def state_names(self) -> list[str]:
         """Of the numbers of `agent_pos`."""
         joints = self.action_names[:-1] if self._action != "tool" else _joint_names(self._low)
-        return [*joints, *(f"{name}_speed" for name in joints), "finger_opening", *_named("tool")]
+        return [
+            *joints,
+            *(f"{name}_speed" for name in joints),
+            "finger_opening",
+            *_pose_names("tool"),
+        ]
 
     @property
     def action_names(self) -> list[str]:
@@ -241,8 +246,8 @@ class RobotEnv(gymnasium.Env):
     @property
     def object_names(self) -> list[str]:
         """Of the numbers of `environment_state`."""
-        goal = _named("goal") if self.task_kind.has_goals else []
-        each = [*_named("pose"), *_HALF, "is_there", *goal]
+        goal = _pose_names("goal") if self.task_kind.has_goals else []
+        each = [*_pose_names("pose"), *_HALF, "is_there", *goal]
         return [f"object{k + 1}_{name}" for k in range(self._num_slots) for name in each]
 
     def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Any, Info]:
@@ -256,9 +261,9 @@ class RobotEnv(gymnasium.Env):
           ConfigError: there is no such option, scene or episode, or the environment has no recording.
         """
         super().reset(seed=seed)
-        scene, episode = self._asked(options)
+        scene, episode = self._read_options(options)
         if episode is not None:
-            return self.begin(self._recorded(episode))
+            return self.begin(self._start_of_episode(episode))
         place = self._place_of(scene)
         index = int(self.world.bank.index[place])
         drawn = int(self.np_random.integers(2**31))
@@ -326,7 +331,7 @@ class RobotEnv(gymnasium.Env):
         self._info: Info = {"scene": index, "target": scene.names[self.start.target]}
         return self._observe(), self._info_at("", "")
 
-    def _asked(self, options: Info | None) -> tuple[Any, Any]:
+    def _read_options(self, options: Info | None) -> tuple[Any, Any]:
         """The scene and the episode that a reset asks for, None for none (ConfigError: anything else)."""
         options = {} if options is None else options
         if not isinstance(options, Mapping):
@@ -347,7 +352,7 @@ class RobotEnv(gymnasium.Env):
             raise ConfigError("options scene and episode of reset", "one of them")
         return scene, episode
 
-    def _recorded(self, episode: Any) -> SavedStart:
+    def _start_of_episode(self, episode: Any) -> SavedStart:
         if self.recording is None:
             raise ConfigError(
                 f"episode {episode!r} of an environment without a recording",

@@ -51,9 +51,9 @@ class ClutterRobot(gym.Env):
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> np.ndarray:
         """A new episode; f32[D], what is observed."""
         seen, info = self.env.reset(seed=seed, options=options)
-        return self._begun(seen, info)
+        return self._keep_seen(seen, info)
 
-    def _begun(self, seen: Mapping[str, Any], info: Mapping[str, Any]) -> np.ndarray:
+    def _keep_seen(self, seen: Mapping[str, Any], info: Mapping[str, Any]) -> np.ndarray:
         self._seen = np.concatenate([seen["agent_pos"], seen["environment_state"]])
         self._is_success = bool(info["is_success"])
         if self.env.execution is not None:
@@ -63,7 +63,7 @@ class ClutterRobot(gym.Env):
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, dict[str, Any]]:
         """What is observed, the reward, whether the episode is over, and `info` of the environment."""
         seen, reward, terminated, truncated, info = self.env.step(action)
-        return self._begun(seen, info), reward, terminated or truncated, info
+        return self._keep_seen(seen, info), reward, terminated or truncated, info
 
     def render(self, mode: str = "rgb_array", **size: Any) -> np.ndarray:
         """u8[height, width, 3], of the environment's own size."""
@@ -97,7 +97,7 @@ class _Simulation:
 
     def set_state_from_flattened(self, state: np.ndarray) -> None:
         """Goes on from f64[D]."""
-        self._env._begun(*self._env.env.set_simulation_state(state))
+        self._env._keep_seen(*self._env.env.set_simulation_state(state))
 
     def forward(self) -> None:
         """It is done as the state is set."""

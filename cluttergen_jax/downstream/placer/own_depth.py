@@ -139,7 +139,7 @@ def propose_places(
     if not is_known:
         maker.grid = _cut_off(maker.grid, seen)
     sight = maker.fuse(seen, REALSENSE, np.random.default_rng(seed))
-    found = _ask(placer, seed, _padded(maker.query(sight, 0)))
+    found = _ask(placer, seed, _pad(maker.query(sight, 0)))
     half = np.asarray(support.region.half_extents)
     is_inside = (np.abs(found.pose[:, :2]) <= half).all(1) & np.isfinite(found.pose).all(1)
     local = np.array(found.pose, np.float64)[is_inside]
@@ -227,10 +227,10 @@ def _view(depth: Any, K: np.ndarray, T: np.ndarray, number: int) -> DepthView:
             "K[:2] * (the picture's width / the width that K is for)",
         )
     metres[metres == 0] = np.nan
-    return _thinned(metres, camera)
+    return _thin(metres, camera)
 
 
-def _thinned(depth: np.ndarray, camera: Camera) -> DepthView:
+def _thin(depth: np.ndarray, camera: Camera) -> DepthView:
     """Every second, third ... pixel of a large picture, as many as placers learn from."""
     step = max(1, camera.width // _WIDTH)
     first = step // 2
@@ -397,7 +397,7 @@ def _cut_off(grid: Grid, views: Sequence[DepthView]) -> Grid:
     return replace(grid, bare=bare)
 
 
-def _padded(query: PlacementQuery) -> PlacementQuery:
+def _pad(query: PlacementQuery) -> PlacementQuery:
     """The same in arrays of few sizes, so that one program serves many regions and objects."""
 
     def larger(surface: HeightMap) -> HeightMap:

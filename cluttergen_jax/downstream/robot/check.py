@@ -177,7 +177,7 @@ def check_robot_whole(
     support = replace(support, region=region_for(found, support))
     base = base_pose(support, found)
     kinematics = ArmKinematics(base, found)
-    reached = _reached(kinematics, support, seed)
+    reached = _try_poses(kinematics, support, seed)
     cube = _cube(min(_LARGEST_CUBE, round(gripper.max_opening, 3)) / 2)
     scene = Scene(("cube",), (cube,), _standing(cube, support), support)
     with Rollout(nthread=num_threads) as pool:
@@ -265,7 +265,7 @@ def _of_cube(grasps: Grasps, ending: EpisodeResult, cube: ObjectAsset) -> tuple[
     )
 
 
-def _reached(kinematics: ArmKinematics, support: SupportAsset, seed: int) -> np.ndarray:
+def _try_poses(kinematics: ArmKinematics, support: SupportAsset, seed: int) -> np.ndarray:
     """f64[50, 4]: x, y, z of poses over the region, the hand down, and whether the arm comes there."""
     rng = np.random.default_rng(seed)
     region = support.region

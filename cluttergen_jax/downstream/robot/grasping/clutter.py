@@ -43,7 +43,7 @@ FINGER_DEPTH = 0.045
 ROUNDS = 16
 """How often candidates of a scene are drawn at most."""
 _NUM_LINES = 1500
-_TIMESTEP = 1 / 360
+TIMESTEP = 1 / 360
 # Seconds of each part of a lift.
 _CLOSE = 0.5
 _RISE = 0.5
@@ -358,16 +358,16 @@ class LiftScene(_HandScene):
         come = float(gripper.control_of(opening))
         mujoco.mj_forward(model, data)
         start = data.xpos[self._bodies].copy()
-        for step in range(0, round(_CLOSE / _TIMESTEP), _AT_ONCE):
-            share = min(1.0, step * _TIMESTEP / (0.9 * _CLOSE))
+        for step in range(0, round(_CLOSE / TIMESTEP), _AT_ONCE):
+            share = min(1.0, step * TIMESTEP / (0.9 * _CLOSE))
             data.ctrl[self._grip] = come + share * (gripper.closed - come)
             mujoco.mj_step(model, data, _AT_ONCE)
         if not np.isfinite(data.qpos).all():
             return Lift(LiftEnd.DIVERGED, -1, 0.0, np.inf)
         if self._is_empty():
             return Lift(LiftEnd.EMPTY, -1, self._gap(), self._largest_shift(start, -1))
-        for step in range(0, round((_RISE + _HOLD) / _TIMESTEP), _AT_ONCE):
-            share = min(1.0, step * _TIMESTEP / _RISE)
+        for step in range(0, round((_RISE + _HOLD) / TIMESTEP), _AT_ONCE):
+            share = min(1.0, step * TIMESTEP / _RISE)
             data.ctrl[self._up] = LIFT * share**2 * (3 - 2 * share)
             mujoco.mj_step(model, data, _AT_ONCE)
         if not np.isfinite(data.qpos).all():
@@ -429,8 +429,8 @@ class ApproachScene(LiftScene):
         if self._move_to(way, stops=True):
             # It stands where it touched, not where it was on its way to.
             data.ctrl[: self._grip] = data.qpos[self._slides]
-        for step in range(0, round(_CLOSE / _TIMESTEP), _AT_ONCE):
-            share = min(1.0, step * _TIMESTEP / (0.9 * _CLOSE))
+        for step in range(0, round(_CLOSE / TIMESTEP), _AT_ONCE):
+            share = min(1.0, step * TIMESTEP / (0.9 * _CLOSE))
             data.ctrl[self._grip] = come + share * (gripper.closed - come)
             mujoco.mj_step(model, data, _AT_ONCE)
         is_from_above = -pose[2, 2] >= np.cos(_STEEP)
@@ -458,7 +458,7 @@ class ApproachScene(LiftScene):
         number = max(1, int(np.linalg.norm(place - begin) / _STEP_LENGTH))
         for step in range(number):
             data.ctrl[: self._grip] = begin + (step + 1) / number * (place - begin)
-            mujoco.mj_step(self._model, data, round(_STEP_LENGTH / _SPEED / _TIMESTEP))
+            mujoco.mj_step(self._model, data, round(_STEP_LENGTH / _SPEED / TIMESTEP))
             if stops and self._touches(self._is_hand):
                 return True
         return False
@@ -483,6 +483,37 @@ def _slide_names(ways: Sequence[object]) -> list[str]:
     return [_CARRIAGE if not number else f"{_CARRIAGE}{number}" for number in range(len(ways))]
 
 
+def spec_to_lift(scene: Scene, visual: bool) -> mujoco.MjSpec:
+    """A scene, stepped as grasps are lifted in it."""
+    spec = populated_spec(
+        scene.names,
+        scene.objects,
+        scene.support,
+        TIMESTEP,
+        scene.contact,
+        poses=scene.poses,
+        visual=visual,
+    )
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    return spec
+
+
+def add_slide(
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, axis: tuple[float, float, float]
+) -> None:
+    """A sliding joint of a body and a position servo for it, both of this name."""
+    body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+    motor = spec.add_actuator(
+        name=name,
+        target=name,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+    )
+    motor.gainprm[0] = _GAIN
+    motor.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    motor.biasprm[:3] = 0.0, -_GAIN, -_DAMPING
+
+
 def _spec_with_hand(
     scene: Scene,
     robot: RobotDescription,
@@ -490,31 +521,13 @@ def _spec_with_hand(
     ways: Sequence[tuple[float, float, float]] = _UPWARDS,
 ) -> mujoco.MjSpec:
     """A scene and a hand, at 100 m, that can move along some ways."""
-    spec = populated_spec(
-        scene.names,
-        scene.objects,
-        scene.support,
-        _TIMESTEP,
-        scene.contact,
-        poses=scene.poses,
-        visual=visual,
-    )
+    spec = spec_to_lift(scene, visual)
     hand = hand_spec(scene.contact, robot)
     remove_drawings(hand)
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.impratio = IMPRATIO
     copy_options(spec, hand)
     carriage = spec.worldbody.add_body(name=_CARRIAGE, pos=_AWAY[:3])
     for name, axis in zip(_slide_names(ways), ways, strict=True):
-        carriage.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
-        motor = spec.add_actuator(
-            name=name,
-            target=name,
-            trntype=mujoco.mjtTrn.mjTRN_JOINT,
-            gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-        )
-        motor.gainprm[0] = _GAIN
-        motor.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-        motor.biasprm[:3] = 0.0, -_GAIN, -_DAMPING
+        add_slide(spec, carriage, name, axis)
     spec.attach(hand, prefix=_PREFIX, frame=carriage.add_frame())
     return spec

@@ -18,7 +18,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets import VISUAL_GROUP, ObjectAsset, object_hash, populated_spec
+from cluttergen_jax.assets import VISUAL_GROUP, ObjectAsset, object_hash
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.digests import json_digest
 from cluttergen_jax.downstream.robot.description import RobotDescription, RobotLike, find_robot
@@ -27,10 +27,13 @@ from cluttergen_jax.downstream.robot.grasping.clutter import (
     LIFT,
     RAISED,
     ROUNDS,
+    TIMESTEP,
     ClutterGrasps,
     LabelledGrasps,
     Lift,
     LiftEnd,
+    add_slide,
+    spec_to_lift,
 )
 from cluttergen_jax.downstream.robot.grasping.grasp_check import MAX_LOAD, SHAKE
 from cluttergen_jax.downstream.robot.grasping.object_labels import ObjectLabels
@@ -53,9 +56,6 @@ _TILTED = 0.25
 """Share of candidates of an object that are not along the surface's normal, and by how much, radians."""
 _TILT = np.radians(15)
 
-_TIMESTEP = 1 / 360
-_GAIN = 2e4
-_DAMPING = 400.0
 _RISE = 0.5
 _HOLD = 0.2
 _AT_ONCE = 2
@@ -416,7 +416,7 @@ class LiftCups:
                 name2=name,
                 active=False,
             )
-            weld.solref[0] = 2 * _TIMESTEP
+            weld.solref[0] = 2 * TIMESTEP
         self._model = model = spec.compile()
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self._data = mujoco.MjData(model)
@@ -440,8 +440,8 @@ class LiftCups:
         self._set_weld(weld, pose, matrix_of(np.append(data.xpos[held], data.xquat[held])))
         data.eq_active[weld] = 1
         is_off = False
-        for step in range(0, round((_RISE + _HOLD) / _TIMESTEP), _AT_ONCE):
-            share = min(1.0, step * _TIMESTEP / _RISE)
+        for step in range(0, round((_RISE + _HOLD) / TIMESTEP), _AT_ONCE):
+            share = min(1.0, step * TIMESTEP / _RISE)
             data.ctrl[0] = LIFT * share**2 * (3 - 2 * share)
             mujoco.mj_step(model, data, _AT_ONCE)
             if not np.isfinite(data.qpos).all():
@@ -493,16 +493,7 @@ def _alone(asset: ObjectAsset, cup: SuctionCup) -> mujoco.MjSpec:
 
 def _spec_with_cup(scene: Scene, cup: SuctionCup, visual: bool) -> mujoco.MjSpec:
     """A scene and a cup that can rise, at 100 m."""
-    spec = populated_spec(
-        scene.names,
-        scene.objects,
-        scene.support,
-        _TIMESTEP,
-        scene.contact,
-        poses=scene.poses,
-        visual=visual,
-    )
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec = spec_to_lift(scene, visual)
     _add_cup(spec, cup)
     return spec
 
@@ -510,7 +501,7 @@ def _spec_with_cup(scene: Scene, cup: SuctionCup, visual: bool) -> mujoco.MjSpec
 def _add_cup(spec: mujoco.MjSpec, cup: SuctionCup) -> None:
     """The bellows begin where they can give way no more."""
     carriage = spec.worldbody.add_body(name=_CARRIAGE, pos=_AWAY)
-    carriage.add_joint(name=_CARRIAGE, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(0, 0, 1))
+    add_slide(spec, carriage, _CARRIAGE, (0, 0, 1))
     body = carriage.add_body(name=_BODY, mass=0.1, inertia=(1e-4,) * 3, explicitinertial=True)
     body.gravcomp = 1.0
     ends = (
@@ -524,12 +515,3 @@ def _add_cup(spec: mujoco.MjSpec, cup: SuctionCup) -> None:
             size=(radius, (front - back) / 2, 0),
             pos=(0, 0, (front + back) / 2),
         )
-    motor = spec.add_actuator(
-        name=_CARRIAGE,
-        target=_CARRIAGE,
-        trntype=mujoco.mjtTrn.mjTRN_JOINT,
-        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-    )
-    motor.gainprm[0] = _GAIN
-    motor.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-    motor.biasprm[:3] = 0.0, -_GAIN, -_DAMPING
