@@ -1,7 +1,7 @@
-"""Which objects a hand can hold: choices of objects ask, and what knows hands answers, which lies above them.
+"""Asks which objects a robot's hand can hold; the code that tests grasps answers.
 
-What tests grasps stands on pools, so pools cannot import it. `cluttergen_jax/__init__.py`, which is imported
-before any of its modules, says who answers; nothing of that is loaded until it is asked.
+That code imports pools, so pools cannot import it: `cluttergen_jax/__init__.py` registers it here with
+`answer_with`, and it is loaded when it is first asked.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ _answered_by: Callable[[], Graspable] | None = None
 
 
 def answer_with(find: Callable[[], Graspable]) -> None:
-    """Says who answers from now on.
+    """Registers the function that `graspable_names` calls.
 
     Args:
-      find: returns it, and is called when it is asked.
+      find: returns that function; called at the first question, so that nothing is imported before.
     """
     global _answered_by
     _answered_by = find

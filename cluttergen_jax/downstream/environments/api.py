@@ -409,7 +409,7 @@ def _check_drawing(cameras: Sequence[str]) -> None:
 
 
 def _with_recorder(function: Result) -> Result:
-    """The same function, whose argument `record` is a folder.
+    """The function with a folder as its argument `record`, in place of a recorder.
 
     Planners know no environments, so a recorder is handed to them.
     """

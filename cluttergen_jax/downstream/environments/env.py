@@ -126,7 +126,7 @@ Info = dict[str, Any]
 
 
 def _pose_names(what: str) -> list[str]:
-    """Of the numbers of a pose."""
+    """The names of the seven numbers of a pose."""
     return [f"{what}_{axis}" for axis in _AXES]
 
 
