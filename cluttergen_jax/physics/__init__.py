@@ -6,6 +6,7 @@ from cluttergen_jax.lazy import offer
 
 if TYPE_CHECKING:
     from cluttergen_jax.physics.engines import engine_of, make_physics
+    from cluttergen_jax.physics.mjx_pairs import faces_first, soften_contacts
     from cluttergen_jax.physics.paper_count import PaperCount
     from cluttergen_jax.physics.standing import check_standing, displacement, has_moved, watch
 
@@ -13,6 +14,7 @@ __getattr__, __all__ = offer(
     __name__,
     {
         "engines": ("engine_of", "make_physics"),
+        "mjx_pairs": ("faces_first", "soften_contacts"),
         "paper_count": ("PaperCount",),
         "standing": ("check_standing", "displacement", "has_moved", "watch"),
     },

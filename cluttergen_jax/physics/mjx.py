@@ -39,12 +39,11 @@ from cluttergen_jax.physics.host import (
 from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.margin import MIN_LIFT, MIN_SHIFT
-from cluttergen_jax.physics.mjx_pairs import ConvexPairs, faces_first
+from cluttergen_jax.physics.mjx_pairs import ConvexPairs, faces_first, soften_contacts
 from cluttergen_jax.physics.standing import displacement, verdict_of_scene
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
 
 IMPLEMENTATIONS = ("warp", "jax")
-_FIRMEST = (0.9, 0.95)
 _MAX_STATE = 1e10
 """MuJoCo's own limit (mjMAXVAL): what is larger counts as diverged, in every engine."""
 
@@ -109,10 +108,7 @@ class MjxScenes:
         self._is_warp = impl == "warp"
         self._options = options if self._is_warp else WARP_DEFAULTS
         if not self._is_warp:
-            model = layout.model.__copy__()
-            # MJX's Newton solver, in float32, throws a box on the table upwards at 7 m/s in one drop of ten
-            # if contacts are firmer; softer by a few micrometres they are solved.
-            model.geom_solimp[:, :2] = np.minimum(model.geom_solimp[:, :2], _FIRMEST)
+            model = soften_contacts(layout.model)
             self._model = mjx.put_model(model, impl="jax")
             self._pairs = ConvexPairs(model, self._model, layout.num_objects)
             with self._pairs.replacing_mjx():

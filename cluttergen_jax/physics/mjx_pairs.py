@@ -25,8 +25,20 @@ from mujoco.mjx._src.collision_types import ConvexInfo, GeomInfo
 
 from cluttergen_jax.types import Array
 
+_FIRMEST = (0.9, 0.95)
 _SAME_NORMAL = 0.99
 _lock = threading.RLock()
+
+
+def soften_contacts(model: mujoco.MjModel) -> mujoco.MjModel:
+    """A copy for MJX in pure JAX.
+
+    Its Newton solver, in float32, throws a box on the table upwards at 7 m/s in one drop of ten if contacts
+    are firmer; softer by a few micrometres they are solved.
+    """
+    model = model.__copy__()
+    model.geom_solimp[:, :2] = np.minimum(model.geom_solimp[:, :2], _FIRMEST)
+    return model
 
 
 @contextmanager

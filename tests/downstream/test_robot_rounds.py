@@ -174,7 +174,7 @@ def test_unknown_proposers_and_rules_are_named(tmp_path):
 
 @pytest.mark.slow
 def test_a_bank_is_cleared_and_the_same_call_finds_the_same(tmp_path):
-    bank = write_bank(tmp_path / "bank", num_scenes=2)
+    bank = write_bank(tmp_path / "bank", num_scenes=2, spread=0.5)
     found = cg.robot.clear_clutter(bank.path, views=2, out=tmp_path / "rounds.json")
     again = cg.robot.clear_clutter(bank.path, views=2, num_threads=1)
     assert found == again

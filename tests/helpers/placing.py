@@ -43,20 +43,26 @@ def with_surface(asset: ObjectAsset) -> ObjectAsset:
     return replace(asset, pieces=(Piece(Mesh(vertices, faces)),), cloud=points)
 
 
-def write_bank(path: Path, num_scenes: int = 4, seed: int = 0, is_success: bool = True) -> Bank:
-    """Writes a bank of scenes that stand, of the seed's split, or that are said to have failed."""
+def write_bank(
+    path: Path, num_scenes: int = 4, seed: int = 0, is_success: bool = True, spread: float = 1.0
+) -> Bank:
+    """Writes a bank of scenes that stand, of the seed's split, or that are said to have failed.
+
+    Args:
+      spread: how far from the middle of the table objects are, 1 as `PLACES` has it.
+    """
     recipe = recipe_of(trio_problem(), Method("made by hand"), seed)
-    rows = [_row(index, seed) | {"is_success": is_success} for index in range(num_scenes)]
+    rows = [_row(index, seed, spread) | {"is_success": is_success} for index in range(num_scenes)]
     objects = {asset.name: asset for asset in seen_trio()}
     with banks.writer(path, num_scenes, recipe=recipe, objects=objects) as bank:
         bank.write_block(0, pa.Table.from_pylist(rows, schema=SCHEMA))
     return read_bank(path)
 
 
-def _row(index: int, seed: int) -> dict:
+def _row(index: int, seed: int, spread: float) -> dict:
     rng = np.random.default_rng((seed, index))
     order = rng.permutation(3)
-    xy = PLACES + rng.uniform(-0.05, 0.05, (3, 2))
+    xy = spread * (PLACES + rng.uniform(-0.05, 0.05, (3, 2)))
     height = [TOP + trio()[each].half_extents[2] for each in order]
     poses = [
         [*place, z, *yaw_quaternion(yaw)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,6 +35,7 @@ from cluttergen_jax.downstream.words import MjxReward, MjxTask
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation import BankArrays, WorldState
 from cluttergen_jax.numerics import with_own_settings
+from cluttergen_jax.physics import faces_first, soften_contacts
 from cluttergen_jax.types import Array
 
 if TYPE_CHECKING:
@@ -111,6 +113,9 @@ class MjxRobotEnv:
         max_seconds: float,
     ) -> None:
         world, self._sensors = HandSensors.added_to(world, by_geom=impl == "jax")
+        self._contacts = faces_first if impl == "jax" else nullcontext
+        if impl == "jax":
+            world = replace(world, model=soften_contacts(world.model))
         self.world = world
         self.task = task
         self._places = jnp.asarray(places)
@@ -153,7 +158,8 @@ class MjxRobotEnv:
         data = self._blank.replace(
             qpos=qpos, qvel=state.qvel, ctrl=state.ctrl, xfrc_applied=state.xfrc_applied
         )
-        data = mjx.forward(self._model_of(fields), data)
+        with self._contacts():
+            data = mjx.forward(self._model_of(fields), data)
         start = Start(self._controls.poses(qpos), scene.is_present, target)
         zero = jnp.zeros(())
         metrics = dict.fromkeys((*_COUNTED, "progress", "displaced"), zero)
@@ -242,7 +248,8 @@ class MjxRobotEnv:
 
         def advance(carry: tuple[mjx.Data, Array], share: Array) -> tuple[Any, None]:
             data, is_pressing = carry
-            data = mjx.step(model, data.replace(ctrl=first + (last - first) * share))
+            with self._contacts():
+                data = mjx.step(model, data.replace(ctrl=first + (last - first) * share))
             _, force = self._sensors.read(data.sensordata)
             return (data, is_pressing | ((force > MAX_FORCE) & ~is_planned).any()), None
 

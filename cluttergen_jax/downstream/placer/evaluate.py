@@ -39,7 +39,7 @@ from cluttergen_jax.learning import checkpoint_of
 from cluttergen_jax.own_parts import part_label, part_name
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene import Bank, read_bank
-from cluttergen_jax.statistics import finite, proportion
+from cluttergen_jax.statistics import proportion
 from cluttergen_jax.tables import Table
 from cluttergen_jax.types import Verdict
 
@@ -70,8 +70,8 @@ def figures_of(
         "paper": proportion(outcome.is_quiet),
         "verdicts": {v.label: float((first == int(v)).mean()) for v in Verdict if v >= 0},
         "z_error": {
-            "median": finite(float(np.median(error))) if len(error) else None,
-            "p90": finite(float(np.percentile(error, 90))) if len(error) else None,
+            "median": float(np.median(error)) if len(error) else None,
+            "p90": float(np.percentile(error, 90)) if len(error) else None,
         },
         "many": _share(is_good, standing >= MANY),
         "by_standing": [

@@ -30,7 +30,6 @@ from cluttergen_jax.downstream.words import LayoutRule
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation import embed
 from cluttergen_jax.generation import make_sampler, setup_of
-from cluttergen_jax.geometry import transform_points
 from cluttergen_jax.learning import choose_method, sampler_of
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement import MIN_MARGIN, PlacementConfig, make_region
@@ -250,7 +249,9 @@ def clearance_of(objects: Sequence[ObjectAsset], poses: np.ndarray, num_moved: i
 
 
 def _outline(asset: ObjectAsset, pose: np.ndarray) -> np.ndarray:
-    corners = transform_points(pose, np.concatenate([part.vertices for part in asset.parts]))[:, :2]
+    place = matrix_of(pose)
+    vertices = np.concatenate([part.vertices for part in asset.parts])
+    corners = vertices @ place[:2, :3].T + place[:2, 3]
     ring = corners[ConvexHull(corners).vertices]
     ahead = np.roll(ring, -1, axis=0)
     number = int(np.linalg.norm(ahead - ring, axis=1).max() / 0.005) + 1
