@@ -110,6 +110,7 @@ class Mover:
         self._rooms = rooms
         self._feels = feels
         self._opening = 0.0
+        self._width = 0.0
         self._T_tool_object = np.eye(4)
         self._grasped = np.eye(4)
         self.fitting: int | None = None
@@ -166,9 +167,7 @@ class Mover:
                 furthest = 4
                 if not self.world.is_free(joints, opening, Mode.COME):
                     continue
-                if places is not None and not self._fits(
-                    grip.T_tool_object, fitting, opening, stood
-                ):
+                if places is not None and not self._fits(grip, fitting, stood):
                     break
                 plan = self._pick_plan(joints, grip, stood, opening, places is not None)
                 if plan is not None:
@@ -218,6 +217,7 @@ class Mover:
         """
         run = self.execution
         self._opening = plan.grip.opening
+        self._width = plan.grip.width
         run.move_fingers(self._opening, Phase.FREE, 0.2)
         run.follow(plan.path, Phase.FREE)
         run.follow(plan.come, Phase.FREE, CARRY_SHARE)
@@ -260,19 +260,13 @@ class Mover:
             self.world.is_hand_free(raise_by(T_world_tool, up), opening, mode) for up, mode in looks
         )
 
-    def _fits(
-        self,
-        T_tool_object: np.ndarray,
-        places: dict[int, np.ndarray],
-        opening: float,
-        stood: np.ndarray,
-    ) -> bool:
+    def _fits(self, grip: Grip, places: dict[int, np.ndarray], stood: np.ndarray) -> bool:
         """Whether the arm can put the object down at one of some places, and leave it there; keeps how."""
         try:
             for number, place in places.items():
-                target = _tool_at(place, T_tool_object)
+                target = _tool_at(place, grip.T_tool_object)
                 for joints in self.kinematics.solutions(target, _ARMS):
-                    if self._lowering(joints, place, opening, T_tool_object) is not None:
+                    if self._lowering(joints, place, grip) is not None:
                         self.fitting = number
                         self._joints = joints
                         return True
@@ -329,7 +323,7 @@ class Mover:
         target = _tool_at(place, self._T_tool_object)
         known = [] if self._joints is None else [self.kinematics.solve(target, self._joints)]
         for joints in chain(known, self.kinematics.solutions(target, 2 * _ARMS)):
-            found = None if joints is None else self._lowering(joints, place, self._opening)
+            found = None if joints is None else self._lowering(joints, place)
             if found is None:
                 continue
             self.world.hold(self._T_tool_object)
@@ -340,14 +334,11 @@ class Mover:
         return None
 
     def _lowering(
-        self,
-        joints: np.ndarray,
-        place: np.ndarray,
-        opening: float,
-        planned: np.ndarray | None = None,
+        self, joints: np.ndarray, place: np.ndarray, planned: Grip | None = None
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Joints f64[L, n] straight up from a place with what is held or planned (T_tool_object), and off."""
-        T_tool_object = self._T_tool_object if planned is None else planned
+        """Joints f64[L, n] straight up from a place with what is held or planned, and off it."""
+        T_tool_object = self._T_tool_object if planned is None else planned.T_tool_object
+        opening = self._opening if planned is None else planned.opening
         self.world.hold(T_tool_object)
         # A line costs a hundred times as much as one look.
         if not self.world.is_free(joints, opening, Mode.CARRY):
@@ -357,8 +348,22 @@ class Mover:
             return None
         self.world.release(pose_of(place))
         distances = _LEAVE if planned is None else _APPROACH
-        leave = self._back(joints, _tool_at(place, T_tool_object), opening, distances)
+        aside = self._aside(joints, self._width if planned is None else planned.width)
+        if aside is None:
+            return None
+        leave = self._back(aside[-1], _tool_at(place, T_tool_object), opening, distances)
         return None if leave is None else (lift, leave)
+
+    def _aside(self, joints: np.ndarray, width: float) -> np.ndarray | None:
+        """Joints f64[L, n] by which an open hand comes off a pad that hardly moves; of an even one, one row.
+
+        It then stands about the object as it came to it.
+        """
+        gripper = self.execution.gripper
+        if gripper.is_even:
+            return joints[None]
+        shift = gripper.side_of(width) - gripper.shift_of(width)
+        return self.kinematics.line(joints, shift * self.kinematics.tool(joints)[:3, 1])
 
     def put_back(self, plan: PickPlan) -> None:
         """Puts what has just been picked up back where it stood, the way it came.
@@ -386,6 +391,9 @@ class Mover:
         if feels:
             self._opening = self._widest(leave, place)
         run.move_fingers(self._opening, Phase.TOUCH)
+        aside = self._aside(run.set_point, self._width)
+        if aside is not None and len(aside) > 1:
+            run.follow(aside, Phase.GRASP, CARRY_SHARE)
         begin, end = (self.kinematics.tool(leave[each])[:3, 3] for each in (0, -1))
         line = self.kinematics.line(run.set_point, end - begin)
         first, rest = self.kinematics.split(leave if line is None else line, TOUCH)
