@@ -14,8 +14,9 @@ found = LeRobotDataset(
     video_backend="pyav",
     delta_timestamps={"action": [0.0, 0.05]},
 )
-first = found[0]
-last = found[len(found) - 1]
+frames = [found[number] for number in range(len(found))]
+first = frames[0]
+last = frames[-1]
 told = {
     "episodes": found.num_episodes,
     "frames": found.num_frames,
@@ -24,7 +25,10 @@ told = {
     "shapes": {key: list(value.shape) for key, value in first.items() if hasattr(value, "shape")},
     "timestamp": float(last["timestamp"]),
     "success": bool(last["next.success"]),
-    "bright": {key: float(last[key].mean()) for key in found.meta.video_keys},
+    "bright": {
+        key: sum(float(each[key].mean()) for each in frames) / len(frames)
+        for key in found.meta.video_keys
+    },
     "mean": {key: found.meta.stats[key]["mean"].ravel().tolist() for key in found.meta.features},
     "numbers": [each["number"] for each in found.meta.episodes],
 }

@@ -44,8 +44,8 @@ DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _VIDEO = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 EPISODE_TABLE = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
-_SAMPLED = 20
-"""Every so manieth picture counts for the statistics of pixels."""
+_MOST_KEPT = 16
+"""Pictures of an episode that count for the statistics of pixels are fewer, evenly spread."""
 
 
 class RecordFolder:
@@ -270,16 +270,20 @@ class LeRobotFolder(RecordFolder):
 
 
 class _Pixels:
-    """Passes pictures on, and keeps some for their statistics."""
+    """Passes pictures on, and keeps some, evenly spread, for their statistics."""
 
     def __init__(self, pictures: Iterator[np.ndarray]) -> None:
         self._pictures = pictures
         self._kept: list[np.ndarray] = []
+        self._step = 1
 
     def __iter__(self) -> Iterator[np.ndarray]:
         for number, picture in enumerate(self._pictures):
-            if number % _SAMPLED == 0:
+            if number % self._step == 0:
                 self._kept.append(picture[::4, ::4])
+            if len(self._kept) == _MOST_KEPT:
+                self._kept = self._kept[::2]
+                self._step *= 2
             yield picture
 
     def stats(self, length: int) -> dict[str, Any]:
