@@ -175,9 +175,9 @@ def quick_grasps(monkeypatch):
     )
 
 
-def own_grasps():
-    found = {asset.name: grasps_from_above(asset) for asset in seen_trio()}
-    return {name: (each.pose, each.width) for name, each in found.items()}
+def own_grasps(objects=None):
+    found = {asset.name: grasps_from_above(asset) for asset in objects or seen_trio()}
+    return {name: (each.pose, np.minimum(each.width, 0.08)) for name, each in found.items()}
 
 
 def check_replayed(place):
@@ -228,6 +228,17 @@ def test_every_episode_of_a_planner_is_replayed_to_its_end(bank, tmp_path, task,
         assert check_replayed(tmp_path / "demos") >= 1
     recording = cg.robot.read_recording(tmp_path / "demos")
     assert len(recording) == sum(row.seconds > 0 for row in rows)
+    check_replayed(tmp_path / "demos")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_episodes_in_scenes_of_no_bank_are_replayed_in_one_that_lies_beside_them(tmp_path):
+    settings = {"record": tmp_path / "demos", "record_cameras": (), "num_episodes": 2}
+    grasps = own_grasps(cg.load_pool("household").objects)
+    rows = cg.rearrange(tmp_path / "out", grasps=grasps, num_threads=1, **settings).rows
+    recording = cg.robot.read_recording(tmp_path / "demos")
+    assert len(recording) == sum(row.seconds > 0 for row in rows) > 0
     check_replayed(tmp_path / "demos")
 
 

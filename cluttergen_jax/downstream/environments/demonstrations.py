@@ -117,8 +117,9 @@ class TraceRecording:
 def _play(env: RobotEnv, number: int, trace: Trace) -> EpisodeRecording | None:
     """An episode of a planner, done again in the environment."""
     scene = trace.scene
-    # A bank of starting scenes has that of each episode.
-    index = number if scene.origin is None else scene.origin.index
+    # Scenes of no bank are in one of starting scenes, by episode.
+    is_of_bank = scene.origin is not None and scene.origin.bank
+    index = scene.origin.index if is_of_bank else number
     found = env.world.scene(env.world.reset(0, index=index))
     goals = trace.goals
     if goals is None:
