@@ -1,9 +1,8 @@
 # %% [markdown]
 # # A closed loop in clutter
-# Scenes are made, a planner's demonstrations are recorded in them, LeRobot's ACT learns from these, and what
-# it has learnt is run in the same environment, in other scenes, which all stand. The state is observed, not
-# pictures, so that a CPU does. Extras `robot` and `gym`, and `pip install lerobot==0.4.4`; without it,
-# this ends before the training.
+# Scenes are made, a planner's demonstrations are recorded in them, LeRobot's ACT learns from these and is run
+# in the same environment, in other scenes. The state is observed, not pictures, so that a CPU does. Extras
+# `robot` and `gym`, and `pip install lerobot==0.4.4`; without it this ends before the training.
 
 # %%
 import importlib.util
@@ -62,7 +61,9 @@ options = {
     "policy.dim_model": 128,
     "policy.dim_feedforward": 512,
     "policy.n_heads": 4,
-    "policy.optimizer_lr": 3e-4,
+    "policy.use_vae": "false",
+    "policy.dropout": 0,
+    "policy.optimizer_lr": 2e-4,
     "policy.normalization_mapping": '{"STATE": "MEAN_STD", "ENV": "MEAN_STD", "ACTION": "MEAN_STD"}',
     "batch_size": 32,
     "num_workers": 0,
