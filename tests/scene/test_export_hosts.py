@@ -32,6 +32,7 @@ from cluttergen_jax.scene.export import export_scenes
 from tests.helpers.drawing import needs_gl
 from tests.helpers.environments import ask_peer, peer_python
 from tests.helpers.exports import assert_same_pose, fourteen_scenes, matrix, spread
+from tests.helpers.placing import write_bank
 from tests.helpers.worlds import trio
 
 ROOT = Path(__file__).parents[2]
@@ -368,7 +369,8 @@ def test_mjlab_worlds_are_scenes(bank, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-def test_playground_resets_to_scenes(bank, tmp_path):
+def test_playground_resets_to_scenes(tmp_path):
+    bank = write_bank(tmp_path / "bank").path
     packages = ("playground==0.2.0", f"{ROOT}[robot]")
     python = peer_python("playground", tmp_path / "env", *packages)
     told = ask_peer(
