@@ -181,7 +181,8 @@ def make_mjx_env(
       task: "grasp", lift the scene's last object; "place", bring it from a stand beside the table into the
         region.
       impl: "warp", for NVIDIA GPUs (extra `gpu`; it runs on a CPU, too); "jax", for scenes of a few simple
-        objects, to compare with; "auto", the first on a GPU, else the second.
+        objects, to compare with, whose contacts are softer by some micrometres; "auto", the first on a GPU,
+        else the second.
       num_envs: worlds side by side at most; Warp keeps room for so many worlds' contacts.
       reward: "dense", or "sparse", 1 at success.
       randomization: what differs between episodes; masses and friction alone, as nothing is drawn.

@@ -113,6 +113,7 @@ class MjxRobotEnv:
         max_seconds: float,
     ) -> None:
         world, self._sensors = HandSensors.added_to(world, by_geom=impl == "jax")
+        # Within this, MJX in pure JAX finds all contacts of flat faces.
         self._contacts = faces_first if impl == "jax" else nullcontext
         if impl == "jax":
             world = replace(world, model=soften_contacts(world.model))

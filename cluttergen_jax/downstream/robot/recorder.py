@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -44,11 +45,11 @@ DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _VIDEO = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 EPISODE_TABLE = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
-_MOST_KEPT = 16
+_MOST_KEPT = 64
 """Pictures of an episode that count for the statistics of pixels are fewer, evenly spread."""
 
 
-class RecordFolder:
+class RecordFolder(ABC):
     """A folder of recordings in some format, which an interrupted command continues.
 
     Args:
@@ -76,19 +77,21 @@ class RecordFolder:
             self._lock.release()
             raise
 
-    def _import_extras(self) -> None: ...
+    @abstractmethod
+    def _import_extras(self) -> None:
+        """Raises MissingExtraError: something is not installed that the format needs."""
 
+    @abstractmethod
     def _resume(self) -> None:
         """Reads what is there."""
-        raise NotImplementedError
 
+    @abstractmethod
     def numbers(self) -> list[int]:
         """Of the episodes that are recorded, in their order."""
-        raise NotImplementedError
 
+    @abstractmethod
     def add(self, recording: EpisodeRecording) -> None:
         """Writes an episode, whole or not at all."""
-        raise NotImplementedError
 
     def finish(self) -> None:
         """Writes what is told of all episodes, and lets the folder go."""

@@ -181,11 +181,11 @@ class ObjectSets:
         """
         if self._formats.isdisjoint(SEEN):
             return
-        missing = [scene for scene in scenes if not self._seen(scene).is_file()]
+        missing = [scene for scene in scenes if not self._pictures_marker(scene).is_file()]
         with Progress("pictures", len(scenes), "scene", len(scenes) - len(missing)) as progress:
             for scene in missing:
                 self._draw_scene(scene)
-                write_atomically(self._seen(scene), b"")
+                write_atomically(self._pictures_marker(scene), b"")
                 progress.update(1)
 
     def _root(self, folder: str) -> Path:
@@ -194,7 +194,8 @@ class ObjectSets:
     def _part(self, asset: ObjectAsset) -> Path:
         return self._out / f"parts/objects/{asset.name}.npz"
 
-    def _seen(self, scene: Scene) -> Path:
+    def _pictures_marker(self, scene: Scene) -> Path:
+        """An empty file, written once the pictures of a scene are complete."""
         return self._out / f"parts/{scene.origin.index:06d}.seen"
 
     def _opening(self) -> float:

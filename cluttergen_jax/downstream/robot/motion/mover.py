@@ -142,7 +142,7 @@ class Mover:
             self._rooms, rank_grasps(grasps, T_world_object, self.execution.gripper)
         ):
             self.world.room = room
-            grip = self._reached(ranked, T_world_object)
+            grip = self._grip_in_reach(ranked, T_world_object)
             if grip is None:
                 continue
             is_reached = True
@@ -175,7 +175,7 @@ class Mover:
         is_far = len(grasps) > 0 and not is_reached
         raise Failed(Outcome.NO_IK if is_far else _ENDS[furthest], "to pick it up")
 
-    def _reached(self, grip: Grip, T_world_object: np.ndarray) -> Grip | None:
+    def _grip_in_reach(self, grip: Grip, T_world_object: np.ndarray) -> Grip | None:
         """The grasp as the arm reaches it; None where one of fewer than six joints does not.
 
         Such an arm may turn the hand about the line between the pads.
@@ -193,7 +193,7 @@ class Mover:
             T_tool_object=inverse(turned) @ grip.T_tool_object,
         )
 
-    def _reachable(self, place: np.ndarray, T_tool_object: np.ndarray) -> np.ndarray | None:
+    def _place_in_reach(self, place: np.ndarray, T_tool_object: np.ndarray) -> np.ndarray | None:
         """A place f64[4, 4] as the arm reaches it with what it holds; None where it cannot.
 
         One of fewer than six joints may turn the object about the vertical.
@@ -239,7 +239,7 @@ class Mover:
         found: dict[int, np.ndarray] = {}
         self.world.hold(T_tool_object)
         for number, wanted in enumerate(() if places is None else places):
-            place = self._reachable(wanted, T_tool_object)
+            place = self._place_in_reach(wanted, T_tool_object)
             if place is None:
                 continue
             target = _tool_at(place, T_tool_object)
@@ -307,7 +307,7 @@ class Mover:
         rooms = [room for room in ROOMS if room <= self.world.room]
         for room, (number, wanted) in product(rooms, enumerate(places)):
             self.world.room = room
-            place = self._reachable(wanted, self._T_tool_object)
+            place = self._place_in_reach(wanted, self._T_tool_object)
             if place is not None and (found := self._place_plan(place)) is not None:
                 self.put = place
                 self._carry(found.path, self._T_tool_object)
@@ -355,9 +355,10 @@ class Mover:
         return None if leave is None else (lift, leave)
 
     def _aside(self, joints: np.ndarray, width: float) -> np.ndarray | None:
-        """Joints f64[L, n] by which an open hand comes off a pad that hardly moves; of an even one, one row.
+        """Joints f64[L, n] that move an open hand aside, so that its still pad no longer touches the object.
 
-        It then stands about the object as it came to it.
+        The hand then is about the object as it came to it. One row for a hand whose pads move alike; None
+        where the arm cannot follow the line.
         """
         gripper = self.execution.gripper
         if gripper.is_even:
