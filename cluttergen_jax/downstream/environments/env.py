@@ -7,7 +7,7 @@ import weakref
 from collections.abc import Mapping, Sequence
 from functools import partial
 from numbers import Integral, Real
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import gymnasium
 import mujoco
@@ -26,7 +26,7 @@ from cluttergen_jax.downstream.environments.world import (
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
 from cluttergen_jax.downstream.transforms import pose_of
-from cluttergen_jax.downstream.words import check_choice
+from cluttergen_jax.downstream.words import RenderMode, RobotReward, check_choice
 from cluttergen_jax.errors import ConfigError, closest, range_text
 from cluttergen_jax.generation import WorldState, required_recipe
 from cluttergen_jax.rendering import new_context
@@ -153,10 +153,12 @@ class RobotEnv(gymnasium.Env):
     - `joint_delta` [n + 1]: changes of their set-points, as shares of what the robot's speed limits allow.
     - `tool` [7]: how the tool moves (0.5 m/s) and turns (2 rad/s, rotation vector), in world axes.
 
-    Rewards are 1 at success, else 0. `info` has `is_success`, `outcome` ("" before the end, then an
-    `Outcome`, one of rearrangement's, or "time limit"), `detail`, `scene` and `target`; and of the episode so
-    far, `num_outside`: numbers of actions beyond -1 to 1, which were taken as -1 or 1; `num_limited`: numbers
-    that asked for more than the speed limits allow in a step, which were followed as far as these.
+    Rewards are 1 at success, else 0; dense ones are more by the change of progress. `info` has `is_success`,
+    `outcome` ("" before the end, then an `Outcome`, one of rearrangement's, or "time limit"), `detail`,
+    `scene` and `target`; `progress`, 0 to 1, how far the episode has come, 0 after a failure; and of the
+    episode so far, `num_outside`: numbers of actions beyond -1 to 1, which were taken as -1 or 1;
+    `num_limited`: numbers that asked for more than the speed limits allow in a step, which were followed as
+    far as these.
 
     Attributes:
       world: the model and its resets. task: what is to be done. start: how this episode began.
@@ -179,8 +181,12 @@ class RobotEnv(gymnasium.Env):
         recipe: partial[RobotEnv] | None = None,
         recording: Recording | None = None,
         draws_scenes: bool = True,
+        reward: RobotReward = "sparse",
+        render_mode: RenderMode | None = "rgb_array",
     ) -> None:
         self.world = world
+        self._is_dense = reward == "dense"
+        self._progress = 0.0
         self.task_kind = task
         self.recipe = recipe
         self.recording = recording
@@ -191,7 +197,7 @@ class RobotEnv(gymnasium.Env):
         check_cameras(world.model, cameras, prefix)
         self._action = action
         self._cameras = cameras
-        self.render_mode = "rgb_array"
+        self.render_mode = render_mode
         self._substeps = max(1, round(1 / control_hz / world.model.opt.timestep))
         self._period = self._substeps * float(world.model.opt.timestep)
         self.metadata = {**self.metadata, "render_fps": round(1 / self._period)}
@@ -319,6 +325,7 @@ class RobotEnv(gymnasium.Env):
         self._num_limited = 0
         self.execution = WorldExecution(self.world, state, self.start.scene, self.start.target)
         self._judge = self.task_kind.judge(self.start, self.execution)
+        self._progress = self._judge.progress
         self._order = [
             self.start.target,
             *(k for k in range(len(scene.names)) if k != self.start.target),
@@ -402,17 +409,25 @@ class RobotEnv(gymnasium.Env):
         except Failed as failure:
             outcome = str(failure.outcome)
             detail = failure.detail
+        before = self._progress
+        is_success = outcome == Outcome.SUCCESS
+        self._progress = float(is_success) if outcome else self._judge.progress
+        reward = is_success + (self._progress - before if self._is_dense else 0.0)
         is_late = not outcome and self._num_steps >= self._max_episode_steps
         seen = self._observe()
         told = self._info_at(TIME_LIMIT if is_late else outcome, detail)
         if outcome or is_late:
             self.execution = None
-        return seen, float(told["is_success"]), bool(outcome), is_late, told
+        return seen, float(reward), bool(outcome), is_late, told
 
     def _info_at(self, outcome: str, detail: str) -> Info:
         is_success = outcome == Outcome.SUCCESS
         ending = {"is_success": is_success, "outcome": outcome, "detail": detail}
-        counted = {"num_outside": self._num_outside, "num_limited": self._num_limited}
+        counted = {
+            "num_outside": self._num_outside,
+            "num_limited": self._num_limited,
+            "progress": self._progress,
+        }
         return {**self._info, **ending, **counted}
 
     def _ctrl_of(self, action: Any) -> np.ndarray:
@@ -494,8 +509,13 @@ class RobotEnv(gymnasium.Env):
         """Steps of the simulation in one of control."""
         return self._substeps
 
-    def render(self) -> np.ndarray:
-        """u8[height, width, 3]: the camera `front`; the first of the environment's own if it has some."""
+    def render(self) -> np.ndarray | None:
+        """u8[height, width, 3]: the camera `front`; the first of the environment's own if it has some.
+
+        None with `render_mode=None`.
+        """
+        if self.render_mode is None:
+            return None
         if self.start is None or not hasattr(self, "_data"):
             raise gymnasium.error.ResetNeeded("reset() has to be called before render()")
         return self._pictures.draw(self._data, self._cameras[0] if self._cameras else "front")
@@ -559,7 +579,8 @@ class RobotEnv(gymnasium.Env):
         warmstart = data.qacc_warmstart.copy()
         mujoco.mj_forward(model, data)
         data.qacc_warmstart[:] = warmstart
-        return self._observe(), told[1]
+        self._progress = self._judge.progress
+        return self._observe(), {**told[1], "progress": self._progress}
 
     def _observe(self) -> dict[str, Any]:
         run = self.execution
@@ -592,9 +613,14 @@ def check_settings(
     image_size: Sequence[int],
     control_hz: float,
     max_seconds: float | None,
+    reward: str,
+    render_mode: str | None,
 ) -> None:
     """Refuses what no environment can have (ConfigError)."""
     check_choice("action", action, RobotAction)
+    check_choice("reward", reward, RobotReward)
+    if render_mode is not None and render_mode not in get_args(RenderMode):
+        raise ConfigError(f"render_mode = {render_mode!r}", "rgb_array, or None")
     if not isinstance(cameras, (tuple, list)) or len(set(cameras)) < len(cameras):
         raise ConfigError(
             f"cameras = {cameras!r}", "a sequence of names, each once", 'cameras=("front",)'

@@ -18,7 +18,8 @@ from flax import struct
 
 from cluttergen_jax.assets import Box, SupportAsset
 from cluttergen_jax.config import StabilityConfig
-from cluttergen_jax.downstream.environments.tasks import FALLEN, LEFT, LIFTED
+from cluttergen_jax.downstream.environments.progress import LIFTED
+from cluttergen_jax.downstream.environments.tasks import FALLEN, LEFT
 from cluttergen_jax.downstream.environments.world import RobotWorld
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.episode import WATCH_STEP, WATCHED, stand_beside

@@ -16,14 +16,19 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.assets import Box, SupportAsset, turn_symmetry
+from cluttergen_jax.downstream.environments.progress import (
+    LIFTED,
+    grasp_progress,
+    place_progress,
+    rearrange_progress,
+)
 from cluttergen_jax.downstream.environments.world import RobotWorld
 from cluttergen_jax.downstream.rearrange.judge import RearrangementJudge
 from cluttergen_jax.downstream.robot.episode import Referee, set_on_stand, stand_beside
 from cluttergen_jax.downstream.robot.motion.collision import Kind
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
-from cluttergen_jax.downstream.robot.motion.mover import LIFT
 from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
-from cluttergen_jax.downstream.transforms import inverse, matrix_of
+from cluttergen_jax.downstream.transforms import inverse, matrix_of, motion_between
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation import BankArrays, WorldState
 from cluttergen_jax.geometry import rotate_in_plane, rotation_matrix
@@ -101,8 +106,6 @@ LEFT = 0.025
 """Metres from where it last touched an object from which on the open hand has left it."""
 FALLEN = 0.1
 """Metres below the support's top."""
-LIFTED = 0.8 * LIFT
-"""Metres by which an object that counts as grasped was lifted at least."""
 _UPRIGHT = np.cos(np.radians(3.0))
 
 
@@ -111,6 +114,10 @@ class Judge(Protocol):
 
     def check(self) -> bool:
         """Whether it has just ended in success. Raises Failed: in failure."""
+
+    @property
+    def progress(self) -> float:
+        """0 to 1: how far an episode has come that goes on (`progress`)."""
 
 
 class Task(Protocol):
@@ -316,6 +323,17 @@ class _HandWatch:
         self._touched = None
 
 
+def _displaced(execution: WorldExecution, start: EpisodeStart) -> float:
+    """Metres that another object is from where it stood, at most."""
+    shift, _ = motion_between(execution.poses(), start.scene.poses)
+    return float(np.delete(shift, start.target).max(initial=0.0))
+
+
+def _distance(execution: WorldExecution, number: int) -> float:
+    """Metres of the tool from an object's origin."""
+    return float(np.linalg.norm(execution.pose(number)[:3, 3] - execution.tool[:3, 3]))
+
+
 def _check_fallen(execution: WorldExecution, scene: Scene) -> None:
     low = execution.poses()[:, 2] < scene.support.lowest - FALLEN
     if low.any():
@@ -341,9 +359,18 @@ class _GraspJudge:
         self._referee.check_others()
         return True
 
+    @property
+    def progress(self) -> float:
+        run = self.execution
+        target = self.start.target
+        height = run.pose(target)[2, 3] - self.start.scene.poses[target, 2]
+        known = (_distance(run, target), _displaced(run, self.start), run.is_touching, height)
+        return float(grasp_progress(np, *known))
+
 
 class _PlaceJudge:
     def __init__(self, start: EpisodeStart, execution: WorldExecution) -> None:
+        self._start = start
         self._execution = execution
         self._scene = start.scene
         self._target = start.target
@@ -359,6 +386,16 @@ class _PlaceJudge:
         self._referee.check_stands()
         self._referee.check_region()
         return True
+
+    @property
+    def progress(self) -> float:
+        run = self._execution
+        region = self._scene.support.region
+        place = run.pose(self._target)[:2, 3] - np.asarray(region.center)
+        side = np.abs(rotate_in_plane(place, -region.yaw)) - np.asarray(region.half_extents)
+        away = float(np.linalg.norm(np.maximum(side, 0.0)))
+        known = (_distance(run, self._target), _displaced(run, self._start), run.is_touching, away)
+        return float(place_progress(np, *known, False))
 
     def _is_on_stand(self) -> bool:
         place = self._execution.pose(self._target)[:2, 3] - np.asarray(self._stand.center[:2])
@@ -390,6 +427,15 @@ class _LayoutJudge:
             return False
         self._judge.check_end(self._start.goals)
         return True
+
+    @property
+    def progress(self) -> float:
+        run = self._execution
+        goals = self._start.goals
+        right = self._judge.is_right(goals)
+        away = [_distance(run, number) for number in np.flatnonzero(~right)]
+        errors = self._judge.errors(goals)[:, 0]
+        return float(rearrange_progress(np, min(away, default=np.inf), run.is_touching, errors))
 
     def _aim(self) -> None:
         """The hand may touch the object whose box is nearest to it, none other."""
