@@ -22,7 +22,7 @@ from gymnasium.utils.env_checker import check_env
 import cluttergen_jax as cg
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.downstream.environments import scripted
-from cluttergen_jax.downstream.environments.world import GripShare
+from cluttergen_jax.downstream.episodes.robot_parts import GripShare
 from cluttergen_jax.downstream.transforms import motion_between
 from cluttergen_jax.errors import ConfigError
 from tests.helpers.arm import ALONG_X, untested_grasp
@@ -223,7 +223,7 @@ def test_another_robot_has_its_own_actions_and_its_gripper_opens_and_closes(bank
     given = env.world.description.gripper
     arm = env.world.robot
     model = env.world.model
-    share = GripShare(env.world.description)
+    share = GripShare(env.world.gripper, env.world.opened)
     assert share.control_of(1.0) == pytest.approx(given.open)
     assert share.control_of(-1.0) == pytest.approx(given.closed)
     for each in (-0.5, -1e-3, 0.0, 0.2, 1.0):

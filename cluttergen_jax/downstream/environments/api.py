@@ -31,11 +31,11 @@ from cluttergen_jax.numerics import with_own_settings
 if TYPE_CHECKING:
     import numpy as np
 
-    from cluttergen_jax.downstream.environments.env import RobotAction, RobotEnv
     from cluttergen_jax.downstream.environments.evaluation import Bound, Policy, PolicyEvaluation
     from cluttergen_jax.downstream.environments.mjx_env import MjxRobotEnv
     from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
     from cluttergen_jax.downstream.environments.recordings import Recording
+    from cluttergen_jax.downstream.episodes.env import RobotAction, RobotEnv
     from cluttergen_jax.downstream.robot.description import RobotDescription, RobotLike
     from cluttergen_jax.generation import BankArrays
 
@@ -205,8 +205,8 @@ def make_mjx_env(
       BankError: the bank cannot be read, or no scene in it is stable.
       MissingExtraError: an extra is not installed.
     """
-    from cluttergen_jax.downstream.environments.tasks import TASKS
-    from cluttergen_jax.downstream.environments.world import check_reach, support_of, with_robot
+    from cluttergen_jax.downstream.environments.world import check_reach, stands_of, with_robot
+    from cluttergen_jax.downstream.episodes.tasks import TASKS
     from cluttergen_jax.generation import BankArrays, load_bank
 
     if task not in get_args(MjxTask):
@@ -232,7 +232,7 @@ def make_mjx_env(
         found,
         robot,
         physics="learning",
-        stands=kind.stands(support_of(found)),
+        stands=stands_of(kind, found),
         randomization=randomization,
     )
     places = kind.places(found)

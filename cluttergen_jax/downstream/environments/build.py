@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
-from cluttergen_jax.downstream.environments.tasks import TASKS
-from cluttergen_jax.downstream.environments.world import support_of, with_robot
+from cluttergen_jax.downstream.environments.world import stands_of, with_robot
+from cluttergen_jax.downstream.episodes.tasks import TASKS
 from cluttergen_jax.downstream.robot.description import RobotLike
 from cluttergen_jax.downstream.words import RenderMode, RobotPhysics, RobotReward
 from cluttergen_jax.errors import ConfigError, MissingExtraError, closest
 from cluttergen_jax.generation import BankArrays, load_bank
 
 if TYPE_CHECKING:
-    from cluttergen_jax.downstream.environments.env import RobotAction, RobotEnv
     from cluttergen_jax.downstream.environments.recordings import Recording
+    from cluttergen_jax.downstream.episodes.env import RobotAction, RobotEnv
 
 
 def build_env(
@@ -39,7 +39,7 @@ def build_env(
 ) -> RobotEnv:
     """As `make_robot_env`; draws_scenes: whether there has to be a scene that a reset can draw."""
     try:
-        from cluttergen_jax.downstream.environments.env import RobotEnv, check_settings
+        from cluttergen_jax.downstream.episodes.env import RobotEnv, check_settings
     except ModuleNotFoundError as error:
         if error.name != "gymnasium":
             raise
@@ -59,7 +59,7 @@ def build_env(
         found,
         robot,
         physics=physics,
-        stands=kind.stands(support_of(found)),
+        stands=stands_of(kind, found),
         randomization=randomization,
     )
     recipe = partial(

@@ -27,10 +27,10 @@ from cluttergen_jax.downstream.environments.mjx_judge import (
     is_closing,
     moved_others,
 )
-from cluttergen_jax.downstream.environments.progress import grasp_progress, place_progress
 from cluttergen_jax.downstream.environments.world import RobotWorld
+from cluttergen_jax.downstream.episodes.progress import grasp_progress, place_progress
+from cluttergen_jax.downstream.episodes.simulation import MAX_FORCE
 from cluttergen_jax.downstream.robot.episode import stand_beside
-from cluttergen_jax.downstream.robot.motion.execute import MAX_FORCE
 from cluttergen_jax.downstream.words import MjxTask, RobotReward
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation import BankArrays, WorldState

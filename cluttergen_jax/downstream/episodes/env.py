@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
-import weakref
 from collections.abc import Mapping, Sequence
 from functools import partial
 from numbers import Integral, Real
@@ -14,98 +12,15 @@ import mujoco
 import numpy as np
 from gymnasium import spaces
 
-from cluttergen_jax.assets import VISUAL_GROUP
-from cluttergen_jax.downstream.environments.recordings import Recording, SavedStart
-from cluttergen_jax.downstream.environments.tasks import EpisodeStart, Task, WorldExecution
-from cluttergen_jax.downstream.environments.world import (
-    GripShare,
-    RobotWorld,
-    move_tool,
-    numbers_of,
-)
-from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
-from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.episodes.outcome import Failed, Outcome
+from cluttergen_jax.downstream.episodes.pictures import Pictures, check_cameras
+from cluttergen_jax.downstream.episodes.robot_parts import GripShare
+from cluttergen_jax.downstream.episodes.starts import EpisodeStart, SavedStart
+from cluttergen_jax.downstream.episodes.tasks import Task, WorldExecution
+from cluttergen_jax.downstream.episodes.world import EpisodeWorld, numbers_of
 from cluttergen_jax.downstream.transforms import pose_of
 from cluttergen_jax.downstream.words import RenderMode, RobotReward, check_choice
-from cluttergen_jax.errors import ConfigError, closest, range_text
-from cluttergen_jax.generation import WorldState, required_recipe
-from cluttergen_jax.rendering import new_context
-
-
-def check_cameras(model: mujoco.MjModel, names: tuple[str, ...], prefix: str) -> None:
-    """Refuses cameras that the model has not, with or without the robot's prefix (ConfigError)."""
-    known = [model.camera(number).name for number in range(model.ncam)]
-    for name in names:
-        if name not in known and prefix + name not in known:
-            short = [each.removeprefix(prefix) for each in known]
-            raise ConfigError(f"camera {name!r}", ", ".join(short), meant=closest(name, short))
-
-
-class Pictures:
-    """Draws a model with a GL context of its own; nothing is opened before the first picture.
-
-    Args:
-      model: whose cameras; prefix: of those of the robot.
-      height, width: pixels.
-    """
-
-    def __init__(self, model: mujoco.MjModel, height: int, width: int, prefix: str) -> None:
-        self._model = model
-        self._prefix = prefix
-        self._rect = mujoco.MjrRect(0, 0, width, height)
-        shown = model.vis.global_
-        shown.offwidth = max(shown.offwidth, width)
-        shown.offheight = max(shown.offheight, height)
-        self._gl: Any = None
-
-    def _open(self) -> None:
-        self._gl = new_context(self._rect.width, self._rect.height)
-        # Registered after the library's own end, so it comes before that.
-        atexit.register(_close, weakref.ref(self))
-        self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
-        self._scene = mujoco.MjvScene(self._model, maxgeom=self._model.ngeom + 100)
-        self._option = mujoco.MjvOption()
-        self._option.geomgroup[:] = 0
-        self._option.geomgroup[VISUAL_GROUP] = 1
-
-    def draw(self, data: mujoco.MjData, name: str) -> np.ndarray:
-        """u8[height, width, 3]: what the camera of this name sees.
-
-        Raises:
-          RendererError: nothing here can draw.
-        """
-        if self._gl is None:
-            self._open()
-        self._gl.make_current()
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
-        camera = mujoco.MjvCamera()
-        camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
-        number = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_CAMERA, name)
-        camera.fixedcamid = number if number >= 0 else self._model.camera(self._prefix + name).id
-        # Cameras on links, too, are where the joints say now.
-        mujoco.mj_camlight(self._model, data)
-        everything = mujoco.mjtCatBit.mjCAT_ALL.value
-        mujoco.mjv_updateScene(
-            self._model, data, self._option, None, camera, everything, self._scene
-        )
-        pixels = np.empty((self._rect.height, self._rect.width, 3), np.uint8)
-        mujoco.mjr_render(self._rect, self._scene, self._context)
-        mujoco.mjr_readPixels(pixels, None, self._rect, self._context)
-        return np.flipud(pixels).copy()
-
-    def close(self) -> None:
-        """Gives the context back; the next picture opens another."""
-        if self._gl is not None:
-            self._gl.make_current()
-            self._context.free()
-            self._gl.free()
-            self._gl = None
-
-
-def _close(pictures: weakref.ref[Pictures]) -> None:
-    if (there := pictures()) is not None:
-        there.close()
-
+from cluttergen_jax.errors import ConfigError, range_text
 
 RobotAction = Literal["joint", "joint_delta", "tool"]
 TIME_LIMIT = "time limit"
@@ -171,7 +86,7 @@ class RobotEnv(gymnasium.Env):
 
     def __init__(
         self,
-        world: RobotWorld,
+        world: EpisodeWorld,
         task: Task,
         action: RobotAction,
         cameras: tuple[str, ...],
@@ -179,7 +94,7 @@ class RobotEnv(gymnasium.Env):
         control_hz: float,
         max_seconds: float | None,
         recipe: partial[RobotEnv] | None = None,
-        recording: Recording | None = None,
+        recording: Any = None,
         draws_scenes: bool = True,
         reward: RobotReward = "sparse",
         render_mode: RenderMode | None = "rgb_array",
@@ -193,8 +108,7 @@ class RobotEnv(gymnasium.Env):
         self.is_drawing = True
         # Where episodes are begun again others need not be there to be drawn.
         self._places = task.places(world.bank) if draws_scenes else None
-        prefix = world.description.prefix
-        check_cameras(world.model, cameras, prefix)
+        check_cameras(world.model, cameras, world.prefix)
         self._action = action
         self._cameras = cameras
         self.render_mode = render_mode
@@ -209,11 +123,11 @@ class RobotEnv(gymnasium.Env):
         arm = world.robot
         self._low = arm.low
         self._high = arm.high
-        self._most = np.array(world.description.arm.speed) * self._period
-        self._share = GripShare(world.description)
-        self._pictures = Pictures(world.model, *image_size, prefix)
+        self._most = np.array(world.speed) * self._period
+        self._share = GripShare(world.gripper, world.opened)
+        self._pictures = Pictures(world.model, *image_size, world.prefix, world.new_context)
         is_tool = action == "tool"
-        self._kinematics = ArmKinematics(world.base, world.description) if is_tool else None
+        self._kinematics = world.kinematics() if is_tool else None
         number = 7 if is_tool else len(arm.qpos) + 1
         self.action_space = spaces.Box(-1.0, 1.0, (number,), np.float32)
         columns = _OBJECT_ROW + _POSE * task.has_goals
@@ -230,7 +144,11 @@ class RobotEnv(gymnasium.Env):
         self.start: EpisodeStart | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return required_recipe(self.recipe, "make_robot_env"), ()
+        if self.recipe is None:
+            raise TypeError(
+                "it holds a simulation, so the call that made it is pickled; it was made otherwise"
+            )
+        return self.recipe, ()
 
     @property
     def state_names(self) -> list[str]:
@@ -274,9 +192,7 @@ class RobotEnv(gymnasium.Env):
         index = int(self.world.bank.index[place])
         drawn = int(self.np_random.integers(2**31))
         state = self.world.reset(drawn, index=index)
-        start = self.task_kind.begin(
-            self.world.scene(state), self.world.bank, place, self.np_random
-        )
+        start = self.task_kind.begin(self.world.scene(state), self.world, place, self.np_random)
         return self._begin(state, start, index, drawn)
 
     def begin(self, start: SavedStart) -> tuple[Any, Info]:
@@ -316,7 +232,7 @@ class RobotEnv(gymnasium.Env):
         )
 
     def _begin(
-        self, state: WorldState, start: EpisodeStart, index: int, seed: int, words: str = ""
+        self, state: Any, start: EpisodeStart, index: int, seed: int, words: str = ""
     ) -> tuple[Any, Info]:
         self.start = start
         scene = start.scene
@@ -605,6 +521,20 @@ class RobotEnv(gymnasium.Env):
         if self._cameras and self.is_drawing:
             seen["pixels"] = {name: self.draw(run.data, name) for name in self._cameras}
         return seen
+
+
+def move_tool(T_world_tool: np.ndarray, shift: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """f64[4, 4]: a pose moved by f[3] metres and turned by the rotation vector f[3], in world axes."""
+    angle = float(np.linalg.norm(turn))
+    axis = turn / angle if angle else np.array([1.0, 0.0, 0.0])
+    quaternion = np.empty(4)
+    mujoco.mju_axisAngle2Quat(quaternion, axis, angle)
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, quaternion)
+    pose = T_world_tool.copy()
+    pose[:3, 3] += shift
+    pose[:3, :3] = rotation.reshape(3, 3) @ pose[:3, :3]
+    return pose
 
 
 def check_settings(

@@ -7,18 +7,19 @@ from __future__ import annotations
 
 from typing import Any
 
-from cluttergen_jax.downstream.robot.motion.mover import LIFT
-
+LIFT = 0.12
+"""Metres that an object is lifted, and lowered from."""
 LIFTED = 0.8 * LIFT
 """Metres by which an object that counts as grasped was lifted at least."""
-# Shares of nearness are halved at about a tenth of a metre, those of disturbance at three centimetres.
-_NEAR = 5.0
+_HALF = 0.2
+"""Metres at which nearness is a half: it grows all the way from where an arm begins."""
 _STILL = 20.0
+"""1 / m."""
 
 
-def nearness(xp: Any, distance: Any) -> Any:
+def nearness(distance: Any) -> Any:
     """1 at no distance, 0 far away."""
-    return 1 - xp.tanh(_NEAR * distance)
+    return _HALF / (_HALF + distance)
 
 
 def stillness(xp: Any, displaced: Any) -> Any:
@@ -34,7 +35,7 @@ def grasp_progress(xp: Any, distance: Any, displaced: Any, is_held: Any, height:
       is_held: the hand touches the object. height: that it is lifted by.
     """
     lifted = xp.clip(height / LIFTED, 0.0, 1.0)
-    share = 0.3 * nearness(xp, distance) + xp.where(is_held, 0.2 + 0.5 * lifted, 0.0)
+    share = 0.3 * nearness(distance) + xp.where(is_held, 0.2 + 0.5 * lifted, 0.0)
     return stillness(xp, displaced) * share
 
 
@@ -46,7 +47,7 @@ def place_progress(
     Args: as of `grasp_progress`; away: of the object from the region in plan; is_watching: it was let go
       there, and is watched.
     """
-    carried = 0.2 * nearness(xp, distance) + xp.where(is_held, 0.2 + 0.4 * nearness(xp, away), 0.0)
+    carried = 0.2 * nearness(distance) + xp.where(is_held, 0.2 + 0.4 * nearness(away), 0.0)
     carried = xp.where((away == 0) & ~is_held, 0.8, carried)
     return stillness(xp, displaced) * xp.where(is_watching, 1.0, carried)
 
@@ -58,5 +59,5 @@ def rearrange_progress(xp: Any, distance: Any, is_held: Any, errors: Any) -> Any
       distance: of the tool from the nearest object that is not right, inf where all are.
       is_held: the hand touches the object that it may touch. errors: f[N], of each object from its goal.
     """
-    placed = nearness(xp, errors).mean()
-    return 0.8 * placed + 0.1 * nearness(xp, distance) + xp.where(is_held, 0.1, 0.0)
+    placed = nearness(errors).mean()
+    return 0.8 * placed + 0.1 * nearness(distance) + xp.where(is_held, 0.1, 0.0)
