@@ -184,7 +184,7 @@ def make_mjx_env(
 
     A dense reward is the change of `metrics["progress"]`, and 1 more at success. Progress, 0 to 1, grows as
     the tool comes near, the hand touches, and the object is lifted ("grasp") or nears the region, lies there
-    let go, and is watched ("place"); it shrinks as other objects move, and is 0 after a failure.
+    let go, and is watched ("place"); it shrinks as other objects move.
 
     Args:
       bank: a folder, OWNER/NAME on a hub, or what `load_bank` gives.

@@ -215,7 +215,7 @@ class MjxRobotEnv:
         is_success = ending == EpisodeEnd.SUCCESS
         is_over = (ending != EpisodeEnd.NONE) & (ending != EpisodeEnd.TIME_LIMIT)
         progress = self._progress(data, start, memory)
-        progress = jnp.where(is_over, is_success.astype(jnp.float32), progress)
+        progress = jnp.where(is_success, 1.0, jnp.where(is_finite, progress, before))
         reward = is_success + (progress - before if self._is_dense else 0.0)
         displaced = jnp.where(is_finite, moved_others(start, seen.poses)[1], 0.0)
         obs = self._controls.observe(data, start, info["slots"])

@@ -70,8 +70,8 @@ class RobotEnv(gymnasium.Env):
 
     Rewards are 1 at success, else 0; dense ones are more by the change of progress. `info` has `is_success`,
     `outcome` ("" before the end, then an `Outcome`, one of rearrangement's, or "time limit"), `detail`,
-    `scene` and `target`; `progress`, 0 to 1, how far the episode has come, 0 after a failure; and of the
-    episode so far, `num_outside`: numbers of actions beyond -1 to 1, which were taken as -1 or 1;
+    `scene` and `target`; `progress`, 0 to 1, how far the episode has come; and of the episode so far,
+    `num_outside`: numbers of actions beyond -1 to 1, which were taken as -1 or 1;
     `num_limited`: numbers that asked for more than the speed limits allow in a step, which were followed as
     far as these.
 
@@ -327,7 +327,8 @@ class RobotEnv(gymnasium.Env):
             detail = failure.detail
         before = self._progress
         is_success = outcome == Outcome.SUCCESS
-        self._progress = float(is_success) if outcome else self._judge.progress
+        # What came of an episode is kept where it fails: to come near is worth something in any case.
+        self._progress = 1.0 if is_success else self._finite_progress()
         reward = is_success + (self._progress - before if self._is_dense else 0.0)
         is_late = not outcome and self._num_steps >= self._max_episode_steps
         seen = self._observe()
@@ -335,6 +336,11 @@ class RobotEnv(gymnasium.Env):
         if outcome or is_late:
             self.execution = None
         return seen, float(reward), bool(outcome), is_late, told
+
+    def _finite_progress(self) -> float:
+        """The progress of now; that of before where the simulation diverged."""
+        found = self._judge.progress
+        return found if np.isfinite(found) else self._progress
 
     def _info_at(self, outcome: str, detail: str) -> Info:
         is_success = outcome == Outcome.SUCCESS
