@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import importlib.abc
 import importlib.machinery
-import importlib.util
 import sys
 from collections.abc import Sequence
 from types import ModuleType
+from typing import Any
 
 _ENTRY = "cluttergen_jax.downstream.environments.api:make_robot_env"
 IDS = {
@@ -38,7 +38,10 @@ def _register() -> None:
 
 
 class _Waiting(importlib.abc.MetaPathFinder):
-    """Stands before the other finders until Gymnasium is imported, and then goes."""
+    """Stands before the other finders until Gymnasium is imported, and then goes.
+
+    Who only asks whether it is installed (`importlib.util.find_spec`) does not make it go.
+    """
 
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
@@ -46,8 +49,9 @@ class _Waiting(importlib.abc.MetaPathFinder):
         """Of Gymnasium what the others find, with a loader that registers; of all else nothing."""
         if name != "gymnasium":
             return None
-        sys.meta_path.remove(self)
-        spec = importlib.util.find_spec(name)
+        others = [each for each in sys.meta_path if not isinstance(each, _Waiting)]
+        found = (each.find_spec(name, path, target) for each in others)
+        spec = next((each for each in found if each is not None), None)
         if spec is not None and spec.loader is not None:
             spec.loader = _Registering(spec.loader)
         return spec
@@ -56,12 +60,13 @@ class _Waiting(importlib.abc.MetaPathFinder):
 class _Registering(importlib.abc.Loader):
     """Loads a module as its own loader does, then registers."""
 
-    def __init__(self, own: importlib.abc.Loader) -> None:
+    def __init__(self, own: Any) -> None:
         self._own = own
 
     def create_module(self, spec: importlib.machinery.ModuleSpec) -> ModuleType | None:
         """As its own loader."""
-        return self._own.create_module(spec)
+        found: ModuleType | None = self._own.create_module(spec)
+        return found
 
     def exec_module(self, module: ModuleType) -> None:
         """As its own loader, which the module keeps; then the ids are known."""
@@ -69,4 +74,5 @@ class _Registering(importlib.abc.Loader):
         module.__spec__.loader = self._own
         module.__loader__ = self._own
         self._own.exec_module(module)
+        sys.meta_path[:] = [each for each in sys.meta_path if not isinstance(each, _Waiting)]
         _register()

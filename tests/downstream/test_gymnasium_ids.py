@@ -42,10 +42,15 @@ def test_ids_are_known_whichever_is_imported_first(imports):
     assert found.stdout.split() == list(IDS)
 
 
-def test_importing_the_package_imports_no_gymnasium():
-    program = "import sys, cluttergen_jax; print('gymnasium' in sys.modules)"
+def test_importing_the_package_imports_no_gymnasium_and_asking_for_it_changes_nothing():
+    program = (
+        "import importlib.util, sys, cluttergen_jax\n"
+        "print('gymnasium' in sys.modules, importlib.util.find_spec('gymnasium') is None)\n"
+        "import gymnasium\n"
+        "print('cluttergen/Place-v1' in gymnasium.registry, len(gymnasium.__spec__.name))"
+    )
     found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert found.stdout.strip() == "False", found.stderr
+    assert found.stdout.split() == ["False", "False", "True", "9"], found.stderr
 
 
 def test_exports_bear_the_same_ids():

@@ -19,7 +19,14 @@ import numpy as np
 
 from cluttergen_jax.assets import turn_symmetry
 from cluttergen_jax.downstream.environments.world import RobotWorld, support_of, with_robot
-from cluttergen_jax.downstream.episodes.exported import FOLDER, FORMAT, PLAIN, RECORD, WITH_STAND
+from cluttergen_jax.downstream.episodes.exported import (
+    FOLDER,
+    FORMAT,
+    PLAIN,
+    RECORD,
+    SHARED,
+    WITH_STAND,
+)
 from cluttergen_jax.downstream.robot.description import RobotDescription, model_files
 from cluttergen_jax.downstream.robot.episode import stand_beside
 from cluttergen_jax.errors import ConfigError, MissingExtraError
@@ -61,6 +68,7 @@ def write_environment(folder: Path, robot: Any) -> str:
     (place / _ASSETS).mkdir(parents=True)
     for name, world in worlds.items():
         _write_model(place, name, world)
+    _write_numbers(place, {name: dict(exact_numbers(each.model)) for name, each in worlds.items()})
     record = _record(worlds[PLAIN])
     record["qpos0"] = {name: world.qpos0.tolist() for name, world in worlds.items()}
     (place / RECORD).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
@@ -158,7 +166,23 @@ def _write_model(folder: Path, name: str, world: RobotWorld) -> None:
             element.set("file", _save_asset(folder / _ASSETS, element, world))
     ET.indent(tree)
     (folder / f"{name}.xml").write_text(ET.tostring(tree, "unicode") + "\n", encoding="utf-8")
-    np.savez_compressed(folder / f"{name}.npz", **dict(exact_numbers(world.model)))  # type: ignore[arg-type]
+
+
+def _write_numbers(folder: Path, models: dict[str, dict[str, np.ndarray]]) -> None:
+    """The numbers of each model, those that all have alike in a file of their own."""
+    first = next(iter(models.values()))
+    shared = {
+        name: value
+        for name, value in first.items()
+        if all(np.array_equal(each.get(name, ()), value) for each in models.values())
+    }
+    own = {
+        model: {name: value for name, value in numbers.items() if name not in shared}
+        for model, numbers in models.items()
+    }
+    for name, numbers in {SHARED: shared, **own}.items():
+        arrays: dict[str, Any] = numbers
+        np.savez_compressed(folder / f"{name}.npz", **arrays)
 
 
 def exact_numbers(model: mujoco.MjModel) -> Iterator[tuple[str, np.ndarray]]:

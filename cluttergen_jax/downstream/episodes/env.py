@@ -17,7 +17,7 @@ from cluttergen_jax.downstream.episodes.pictures import Pictures, check_cameras
 from cluttergen_jax.downstream.episodes.robot_parts import GripShare
 from cluttergen_jax.downstream.episodes.starts import EpisodeStart, SavedStart
 from cluttergen_jax.downstream.episodes.tasks import Task, WorldExecution
-from cluttergen_jax.downstream.episodes.world import EpisodeWorld, numbers_of
+from cluttergen_jax.downstream.episodes.world import SimulatedWorld, numbers_of
 from cluttergen_jax.downstream.transforms import pose_of
 from cluttergen_jax.downstream.words import RenderMode, RobotReward, check_choice
 from cluttergen_jax.errors import ConfigError, range_text
@@ -86,7 +86,7 @@ class RobotEnv(gymnasium.Env):
 
     def __init__(
         self,
-        world: EpisodeWorld,
+        world: SimulatedWorld,
         task: Task,
         action: RobotAction,
         cameras: tuple[str, ...],
@@ -99,7 +99,8 @@ class RobotEnv(gymnasium.Env):
         reward: RobotReward = "sparse",
         render_mode: RenderMode | None = "rgb_array",
     ) -> None:
-        self.world = world
+        # Users of this package ask it for more than a `SimulatedWorld` has.
+        self.world: Any = world
         self._is_dense = reward == "dense"
         self._progress = 0.0
         self.task_kind = task

@@ -2,12 +2,15 @@
 
     env = make_env("folder", "place")        # as cg.robot.make_env, without JAX and the robot's packages
 
-Importing this makes the ids of Gymnasium known: `gymnasium.make("cluttergen/Place-v1", folder=...)`.
+`register_ids(folder)` makes the ids of Gymnasium known: `gymnasium.make("cluttergen/Place-v1")`. The export's
+env.py does so.
 """
 
 from __future__ import annotations
 
+import importlib
 import json
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -33,6 +36,9 @@ FORMAT = 1
 """Of that file; newer ones are refused."""
 WITH_STAND = "with_stand"
 PLAIN = "plain"
+SHARED = "shared"
+"""Arrays of numbers that both models have."""
+_GL = ("egl", "osmesa", "glfw")
 IDS = {
     "cluttergen/Place-v1": "place",
     "cluttergen/Grasp-v1": "grasp",
@@ -79,7 +85,7 @@ class ExportedObject:
 
 @dataclass(frozen=True, eq=False)
 class ExportedScene:
-    """A scene, as `EpisodeWorld.scene` says; index: its number in the bank."""
+    """A scene, as `SimulatedWorld.scene` says; index: its number in the bank."""
 
     names: tuple[str, ...]
     objects: tuple[ExportedObject, ...]
@@ -108,7 +114,7 @@ class ExportedState:
 
 
 class ExportedWorld:
-    """All objects of an exported bank and a robot in one model, as `EpisodeWorld` says.
+    """All objects of an exported bank and a robot in one model, as `SimulatedWorld` says.
 
     Args:
       folder: the export. has_stand: with the box that objects are placed from.
@@ -122,7 +128,7 @@ class ExportedWorld:
         record = _read_record(self.folder)
         path = self.folder / FOLDER
         name = WITH_STAND if has_stand else PLAIN
-        self.model = _read_model(path / f"{name}.xml", path / f"{name}.npz")
+        self.model = _read_model(path, name)
         self.reader = Bank(self.folder / "bank")
         self.parts = PartNames(**{key: _frozen(each) for key, each in record["parts"].items()})
         self.robot = RobotParts.found(self.model, self.parts)
@@ -210,10 +216,19 @@ class ExportedWorld:
         )
 
     def new_context(self, width: int, height: int) -> Any:
-        """A GL context, made current; MUJOCO_GL says which."""
-        context = mujoco.GLContext(width, height)
-        context.make_current()
-        return context
+        """A GL context, made current: of MUJOCO_GL, else the first that there is (RuntimeError: none)."""
+        asked = os.environ.get("MUJOCO_GL", "")
+        reasons = []
+        for name in [asked] if asked in _GL else _GL:
+            try:
+                context = importlib.import_module(f"mujoco.{name}").GLContext(width, height)
+                context.make_current()
+            # Libraries that are not there fail in many ways.
+            except Exception as error:
+                reasons.append(f"{name}: {error}")
+            else:
+                return context
+        raise RuntimeError(f"nothing here can draw ({'; '.join(reasons)})")
 
 
 def make_env(
@@ -280,24 +295,30 @@ def _read_record(folder: Path) -> dict[str, Any]:
     return record
 
 
-def _read_model(path: Path, exact: Path) -> mujoco.MjModel:
-    """The model of a file, with the numbers that it was written from, which text rounds.
+def _read_model(folder: Path, name: str) -> mujoco.MjModel:
+    """A model with the numbers that its file was written from, which text rounds.
 
     Another version of MuJoCo may hold other arrays; of those that differ in shape it keeps its own.
     """
-    model = mujoco.MjModel.from_xml_path(str(path))
-    with np.load(exact) as numbers:
-        for name in numbers.files:
-            owner, _, attribute = f"model.{name}".rpartition(".")
-            holder = model.opt if owner == "model.opt" else model
-            own = getattr(holder, attribute, None)
-            if own is None or np.shape(own) != numbers[name].shape:
-                continue
-            if np.ndim(own):
-                own[:] = numbers[name]
-            else:
-                setattr(holder, attribute, float(numbers[name]))
+    model = mujoco.MjModel.from_xml_path(str(folder / f"{name}.xml"))
+    for file in (SHARED, name):
+        with np.load(folder / f"{file}.npz") as numbers:
+            for field_name in numbers.files:
+                _set_exactly(model, field_name, numbers[field_name])
     return model
+
+
+def _set_exactly(model: mujoco.MjModel, name: str, value: np.ndarray) -> None:
+    """Sets a field of a model, or "opt.FIELD" of its options, if it has one of this shape."""
+    holder = model.opt if name.startswith("opt.") else model
+    name = name.removeprefix("opt.")
+    own = getattr(holder, name, None)
+    if own is None or np.shape(own) != value.shape:
+        return
+    if np.ndim(own):
+        own[:] = value
+    else:
+        setattr(holder, name, float(value))
 
 
 def _frozen(value: Any) -> Any:

@@ -28,7 +28,7 @@ class RearrangementJudge:
     """Watches an episode and says at its end whether the objects are where they should be.
 
     Args:
-      execution: the simulation. scene: as it was at the start (`EpisodeWorld.scene`); the first `num_moved`
+      execution: the simulation. scene: as it was at the start (`SimulatedWorld.scene`); the first `num_moved`
         objects are to be moved.
       symmetry: of each object (`assets.symmetry.turn_symmetry`).
     """

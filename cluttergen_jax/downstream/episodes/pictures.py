@@ -51,10 +51,11 @@ class Pictures:
         self._gl: Any = None
 
     def _open(self) -> None:
-        self._gl = self._new_context(self._rect.width, self._rect.height)
+        gl = self._new_context(self._rect.width, self._rect.height)
         # Registered after the library's own end, so it comes before that.
         atexit.register(_close, weakref.ref(self))
         self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+        self._gl = gl
         self._scene = mujoco.MjvScene(self._model, maxgeom=self._model.ngeom + 100)
         self._option = mujoco.MjvOption()
         self._option.geomgroup[:] = 0

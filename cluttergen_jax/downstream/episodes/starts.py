@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cluttergen_jax.downstream.episodes.world import EpisodeWorld
+from cluttergen_jax.downstream.episodes.world import SimulatedWorld
 from cluttergen_jax.errors import BankError, ConfigError
 
 
@@ -17,7 +17,7 @@ class EpisodeStart:
     """How an episode begins.
 
     Attributes:
-      scene: objects where they stand (`EpisodeWorld.scene`).
+      scene: objects where they stand (`SimulatedWorld.scene`).
       target: the number of the one that is to be moved (first).
       goals: f64[N, 7], T_world_object where they shall go; of the target alone one that is known to do.
     """
@@ -65,7 +65,7 @@ class SavedStart:
             raise ValueError("a start whose poses are not those of its objects")
         return start
 
-    def of(self, world: EpisodeWorld) -> tuple[Any, EpisodeStart]:
+    def of(self, world: SimulatedWorld) -> tuple[Any, EpisodeStart]:
         """The same in a world. Raises BankError: its bank has another scene there."""
         try:
             state = world.reset(self.seed, index=self.scene)

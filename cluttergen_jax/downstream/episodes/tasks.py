@@ -23,7 +23,7 @@ from cluttergen_jax.downstream.episodes.progress import (
 from cluttergen_jax.downstream.episodes.referee import EpisodeReferee, pose_on_stand
 from cluttergen_jax.downstream.episodes.simulation import Kind, Phase, Simulation
 from cluttergen_jax.downstream.episodes.starts import EpisodeStart
-from cluttergen_jax.downstream.episodes.world import BankRows, EpisodeWorld
+from cluttergen_jax.downstream.episodes.world import BankRows, SimulatedWorld
 from cluttergen_jax.downstream.transforms import inverse, matrix_of, motion_between
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import rotate_in_plane, rotation_matrix
@@ -38,7 +38,7 @@ class WorldExecution(Simulation):
       target: the number of the object in it that the hand may touch at first.
     """
 
-    def __init__(self, world: EpisodeWorld, state: Any, scene: Any, target: int) -> None:
+    def __init__(self, world: SimulatedWorld, state: Any, scene: Any, target: int) -> None:
         super().__init__(world.model, world.robot, world.gripper, scene.names, target)
         self.world = world
         world.put(self.data, state)
@@ -102,7 +102,7 @@ class Task(Protocol):
         """i[M]: the scenes that it can be done in, by their place in the bank. Raises ConfigError: none."""
 
     def begin(
-        self, scene: Any, world: EpisodeWorld, place: int, rng: np.random.Generator
+        self, scene: Any, world: SimulatedWorld, place: int, rng: np.random.Generator
     ) -> EpisodeStart:
         """An episode in the scene at this place."""
 
@@ -131,7 +131,7 @@ class GraspTask(_OneObject):
     seconds = 15.0
 
     def begin(
-        self, scene: Any, world: EpisodeWorld, place: int, rng: np.random.Generator
+        self, scene: Any, world: SimulatedWorld, place: int, rng: np.random.Generator
     ) -> EpisodeStart:
         """The scene as it is."""
         return EpisodeStart(scene, len(scene.names) - 1, scene.poses.copy())
@@ -167,7 +167,7 @@ class PlaceTask(_OneObject):
         return found
 
     def begin(
-        self, scene: Any, world: EpisodeWorld, place: int, rng: np.random.Generator
+        self, scene: Any, world: SimulatedWorld, place: int, rng: np.random.Generator
     ) -> EpisodeStart:
         """The last object on the stand, somehow turned."""
         target = len(scene.names) - 1
@@ -208,7 +208,7 @@ class RearrangeTask:
         return found
 
     def begin(
-        self, scene: Any, world: EpisodeWorld, place: int, rng: np.random.Generator
+        self, scene: Any, world: SimulatedWorld, place: int, rng: np.random.Generator
     ) -> EpisodeStart:
         """The scene as it is, and another one for its goals."""
         bank = world.bank

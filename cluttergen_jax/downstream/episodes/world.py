@@ -27,7 +27,7 @@ class BankRows(Protocol):
     def poses(self) -> Any: ...
 
 
-class EpisodeWorld(Protocol):
+class SimulatedWorld(Protocol):
     """A robot and all objects of a bank in one model.
 
     Attributes:
