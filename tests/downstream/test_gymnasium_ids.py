@@ -1,7 +1,9 @@
 """Environments of a robot in a bank by their ids, as Gymnasium makes them."""
 
+import json
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,6 +27,8 @@ from cluttergen_jax.downstream.episodes.progress import (
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.gymnasium_ids import IDS
 from tests.helpers.placing import write_bank
+
+PEERS = Path(__file__).parents[1] / "peers"
 
 
 @pytest.fixture(scope="module")
@@ -109,6 +113,20 @@ def test_vectors_of_environments_run_in_processes_of_their_own(bank):
 def test_settings_that_are_none_are_refused(bank, given):
     with pytest.raises(ConfigError, match=next(iter(given))):
         cg.robot.make_env("grasp", bank, **given)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_a_policy_of_sb3_learns_to_come_near(tmp_path):
+    """From another folder, by the id alone; what rises is the return of dense rewards."""
+    pytest.importorskip("stable_baselines3", reason="needs the extra sb3")
+    bank = write_bank(tmp_path / "bank", num_scenes=1).path
+    command = [sys.executable, str(PEERS / "learn_with_sb3.py"), str(bank), "4096"]
+    ran = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=1500)
+    assert ran.returncode == 0, ran.stderr[-2000:]
+    returns = np.array([value for value, _ in json.loads(ran.stdout.splitlines()[-1])])
+    assert len(returns) > 60
+    assert returns[-20:].mean() > returns[:20].mean() + 0.05
 
 
 def test_progress_grows_on_the_way_and_shrinks_as_others_move():

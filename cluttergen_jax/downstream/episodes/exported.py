@@ -289,10 +289,14 @@ def _read_record(folder: Path) -> dict[str, Any]:
             "a folder of the export `lerobot`",
             "cluttergen export BANK --format lerobot --robot panda",
         )
-    record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    if record["format"] != FORMAT:
-        raise ConfigError(f"{path} of format {record['format']!r}", f"format {FORMAT}")
-    return record
+    try:
+        record: Any = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path} is damaged ({error})", "", "the export again") from error
+    number = record.get("format") if isinstance(record, dict) else None
+    if number != FORMAT:
+        raise ConfigError(f"{path} of format {number!r}", f"format {FORMAT}")
+    return dict(record)
 
 
 def _read_model(folder: Path, name: str) -> mujoco.MjModel:

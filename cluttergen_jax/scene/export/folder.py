@@ -319,8 +319,9 @@ _ALL = (
     ),
     BankFormat(
         "lerobot",
-        "LeRobot 0.6: push the folder to a hub as a model repository, then lerobot.envs.make_env("
-        "'OWNER/NAME', n_envs=4, trust_remote_code=True); or import its env.py and call make_env.",
+        "LeRobot: push the folder to a hub as a model repository, then lerobot.envs.make_env("
+        "'OWNER/NAME', n_envs=4, trust_remote_code=True). Without it: import env, then "
+        "env.single('grasp') or gymnasium.make('cluttergen/Grasp-v1').",
         "env.py",
         has_robot=True,
     ),
