@@ -10,7 +10,7 @@ from cluttergen_jax.downstream.environments.mjx_judge import Start
 from cluttergen_jax.downstream.environments.world import RobotWorld
 from cluttergen_jax.downstream.episodes.robot_parts import GripShare
 from cluttergen_jax.downstream.robot.gripper import gripper_of
-from cluttergen_jax.types import Array
+from cluttergen_jax.geometry import Array
 
 _OBJECT_ROW = 11
 _POSE = 7

@@ -34,9 +34,9 @@ from cluttergen_jax.downstream.robot.episode import stand_beside
 from cluttergen_jax.downstream.words import MjxTask, RobotReward
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation import BankArrays, WorldState
+from cluttergen_jax.geometry import Array
 from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.physics import faces_first, soften_contacts
-from cluttergen_jax.types import Array
 
 _MAX_STATE = 1e10
 """MuJoCo's own limit (mjMAXVAL): what is larger has diverged."""

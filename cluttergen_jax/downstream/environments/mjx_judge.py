@@ -26,9 +26,8 @@ from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.episode import stand_beside
 from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.robot.outcome import Outcome
-from cluttergen_jax.geometry import yaw_matrix
+from cluttergen_jax.geometry import Array, yaw_matrix
 from cluttergen_jax.physics import displacement, has_moved
-from cluttergen_jax.types import Array
 
 
 class EpisodeEnd(IntEnum):

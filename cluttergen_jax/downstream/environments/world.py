@@ -41,9 +41,9 @@ from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.words import RobotPhysics, check_choice
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation import BankArrays, BankAttachment, BankWorld, WorldState
+from cluttergen_jax.geometry import Array
 from cluttergen_jax.rendering import add_lighting, new_context
 from cluttergen_jax.scene import FixedCamera, Scene, region_of
-from cluttergen_jax.types import Array
 
 HAND_CAMERA = "hand"
 """The camera on the hand; others bear the names of `scene.cameras`."""

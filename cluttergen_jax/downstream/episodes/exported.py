@@ -21,11 +21,11 @@ import gymnasium
 import mujoco
 import numpy as np
 
-from cluttergen_jax.bank_reader import Bank, SceneArrays
+from cluttergen_jax.bank_reader import Bank
 from cluttergen_jax.downstream.episodes.env import RobotAction, RobotEnv, check_settings
 from cluttergen_jax.downstream.episodes.robot_parts import Gripper, PartNames, RobotParts
 from cluttergen_jax.downstream.episodes.tasks import TASKS
-from cluttergen_jax.downstream.episodes.world import joints_of_objects
+from cluttergen_jax.downstream.episodes.world import BankRows, joints_of_objects
 from cluttergen_jax.downstream.words import RenderMode, RobotReward
 from cluttergen_jax.errors import ConfigError, closest
 
@@ -161,9 +161,10 @@ class ExportedWorld:
         self._object_qpos = joints_of_objects(self.model, self._names)
 
     @cached_property
-    def bank(self) -> SceneArrays:
+    def bank(self) -> BankRows:
         """Its scenes."""
-        return self.reader.arrays
+        rows: BankRows = self.reader.arrays
+        return rows
 
     def reset(self, seed: int, index: int | None = None) -> ExportedState:
         """The scene of this number, everything else at home; nothing is randomized here."""
