@@ -242,4 +242,7 @@ def _copy_terms(folder: Path, robot: RobotDescription) -> str:
             (folder / name).write_bytes(terms.read_bytes())
             found.append(f"{FOLDER}/{name}")
     stated = ", ".join(found) or "not stated; ask the owner before you pass it on"
-    return f"The robot {robot.name}, in {FOLDER}/. Licence: {stated}"
+    return (
+        f"The package {PACKAGE} is part of cluttergen_jax. Licence: Apache-2.0\n\n"
+        f"The robot {robot.name}, in {FOLDER}/. Licence: {stated}"
+    )

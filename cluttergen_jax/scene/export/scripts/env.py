@@ -2,8 +2,9 @@
 
     envs = lerobot.envs.make_env("OWNER/REPOSITORY", n_envs=4, trust_remote_code=True)["cluttergen"][0]
 
-This file and all that lies beside it are the repository; it needs mujoco, pyarrow and gymnasium. Without
-LeRobot: `import env; env.single("grasp")`, or `gymnasium.make("cluttergen/Grasp-v1")` once it is imported.
+This file and all that lies beside it are the repository; it needs mujoco, pyarrow, gymnasium and
+Python 3.11. Without LeRobot: `import env; env.single("grasp")`, or `gymnasium.make("cluttergen/Grasp-v1")`
+once it is imported.
 """
 
 import os
