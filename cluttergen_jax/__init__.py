@@ -54,8 +54,10 @@ from cluttergen_jax.api.render import make_dataset, render, view
 from cluttergen_jax.api.train import train
 from cluttergen_jax.display import draw_with
 from cluttergen_jax.graspable import answer_with
+from cluttergen_jax.gymnasium_ids import register_ids
 from cluttergen_jax.judging.api import certify, judge, verify
 from cluttergen_jax.lazy import name_space
+from cluttergen_jax.robot_environments import answer_with as write_environments_with
 from cluttergen_jax.spec import SceneSpec
 
 if TYPE_CHECKING:
@@ -137,6 +139,11 @@ draw_with(lambda: _drawing)
 answer_with(
     lambda: import_module("cluttergen_jax.downstream.robot.grasping.holdable").graspable_names
 )
+write_environments_with(
+    lambda: import_module("cluttergen_jax.downstream.environments.exporting").write_environment
+)
+# `gymnasium.make("cluttergen/Place-v1")`, whichever of the two is imported first.
+register_ids()
 
 _FORMER = {
     "BankArrays": "generation.bank:BankArrays",

@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike
 
 Array = Any
 """A NumPy array, or a JAX array where the function takes `xp`."""
+ROUND = 24
+"""An object of so many equal turns counts as round: any turn about z is as good as another."""
 
 
 def norm(xp: Any, vector: Array) -> Array:

@@ -31,6 +31,7 @@ def export(
     cameras: Sequence[CameraName] = (),
     grasps: str | Path | None = None,
     look: str | Path = "plain",
+    robot: str | Path | None = None,
     overwrite: bool = False,
 ) -> Path:
     """Writes scenes as a self-contained folder for another program (`cluttergen export`).
@@ -50,6 +51,8 @@ def export(
       grasps: grasps to write beside objects, with "molmospaces": a file of `cluttergen robot grasps --out`.
       look: draws a support that has no surfaces of its own as a table in wood, marble and so on: a name, or
         a YAML file (docs/guide/pictures.md). What collides stays.
+      robot: whose environment goes with the bank, with "lerobot": a name of `cluttergen list`, or the YAML
+        file of one; panda if not given.
       overwrite: replace an earlier export.
 
     Returns:
@@ -60,7 +63,7 @@ def export(
         `out`.
       ConfigError: there is no such format or camera, two answers to one question, grasps of other objects,
         or `source` is neither a bank nor scenes.
-      MissingExtraError: the format needs an extra that is not installed.
+      MissingExtraError: the format needs an extra that is not installed; `lerobot` needs `robot` and `gym`.
     """
     from cluttergen_jax.progress import track
     from cluttergen_jax.scene.bank import (
@@ -79,6 +82,11 @@ def export(
 
     takes_bank = isinstance(format, str) and format in BANK_FORMATS
     kind = None if takes_bank else find_format(format)
+    has_robot = takes_bank and BANK_FORMATS[str(format)].has_robot
+    if robot is not None and not has_robot:
+        raise ConfigError(
+            f"`robot` with the format {format!r}, which has none", "lerobot", "format='lerobot'"
+        )
     if kind is not None and cameras and not kind.takes_cameras:
         note = f"note: cameras stand in scenes/*.json alone: what {kind.name} reads has none"
         print(note, file=sys.stderr)
@@ -119,7 +127,9 @@ def export(
         for text in local_paths(bank):
             print(f"note: the bank's record names a path of this machine: {text}", file=sys.stderr)
         objects = [bank.object(name) for name in sorted(bank.assets["objects"])]
-        return export_bank(bank.path, bank.support, objects, indices, out, str(format), overwrite)
+        return export_bank(
+            bank.path, bank.support, objects, indices, out, str(format), overwrite, robot or "panda"
+        )
     total = len(good_indices(bank) if numbers is None else select_rows(bank, numbers))
     read = read_scenes(bank, numbers)
     read = _furnish_scenes(read, look)

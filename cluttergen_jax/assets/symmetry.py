@@ -13,13 +13,11 @@ from scipy.spatial.transform import Rotation
 from cluttergen_jax.assets.cloud import coloured_points
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.shape import Piece
-from cluttergen_jax.geometry import across, yaw_matrix
+from cluttergen_jax.geometry import ROUND, across, yaw_matrix
 
 TOLERANCE = 0.005
 """Metres that a symmetric object's surface may lie off itself once it is turned; points lie 2 mm apart. It
 is the error below which a pose counts as right: depth cameras do not tell such turns apart."""
-ROUND = 24
-"""An object of so many equal turns counts as round: any turn about z is as good as another."""
 _ORDERS = (ROUND, 8, 6, 5, 4, 3, 2)
 _NUM_POINTS = 40_000
 _NUM_TURNED = 1000

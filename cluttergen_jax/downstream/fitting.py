@@ -20,6 +20,7 @@ from flax import struct
 from cluttergen_jax.assets import embedded_root
 from cluttergen_jax.config import check_positive
 from cluttergen_jax.errors import ConfigError, PoolError
+from cluttergen_jax.geometry import Array
 from cluttergen_jax.learning import (
     MetricsLog,
     RunFolder,
@@ -31,7 +32,6 @@ from cluttergen_jax.learning import (
 )
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.progress import time_text
-from cluttergen_jax.types import Array
 
 _WARM_UP = 0.02
 _MOST = 1_000_000

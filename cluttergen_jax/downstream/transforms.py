@@ -5,8 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from cluttergen_jax.assets import ROUND
-from cluttergen_jax.geometry import yaw_matrix
+from cluttergen_jax.geometry import ROUND, yaw_matrix
 
 
 def matrix_of(pose: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.physics.engines import engine_of, make_physics
     from cluttergen_jax.physics.mjx_pairs import faces_first, soften_contacts
     from cluttergen_jax.physics.paper_count import PaperCount
+    from cluttergen_jax.physics.stability import Verdict
     from cluttergen_jax.physics.standing import check_standing, displacement, has_moved, watch
 
 __getattr__, __all__ = offer(
@@ -16,6 +17,7 @@ __getattr__, __all__ = offer(
         "engines": ("engine_of", "make_physics"),
         "mjx_pairs": ("faces_first", "soften_contacts"),
         "paper_count": ("PaperCount",),
+        "stability": ("Verdict",),
         "standing": ("check_standing", "displacement", "has_moved", "watch"),
     },
 )

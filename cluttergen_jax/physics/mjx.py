@@ -40,7 +40,7 @@ from cluttergen_jax.physics.layout import Layout
 from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.margin import MIN_LIFT, MIN_SHIFT
 from cluttergen_jax.physics.mjx_pairs import ConvexPairs, faces_first, soften_contacts
-from cluttergen_jax.physics.standing import displacement, verdict_of_scene
+from cluttergen_jax.physics.standing import displacement
 from cluttergen_jax.types import Array, Settling, Standing, Verdict
 
 IMPLEMENTATIONS = ("warp", "jax")
@@ -682,7 +682,9 @@ class MjxPhysics(OneScenePhysics):
         num_steps = before.num_steps + 1
         shift = jnp.maximum(before.shift, shift)
         turn = jnp.maximum(before.turn, turn)
-        verdict = verdict_of_scene(jnp, num_steps, shift, turn, batch.is_placed, self.config)
+        verdict = stability.verdict_of_scene(
+            jnp, num_steps, shift, turn, batch.is_placed, self.config
+        )
         verdict = jnp.where(scenes.has_overflowed(data), int(Verdict.OVERFLOW), verdict)
         verdict = jnp.where(is_finite, verdict, int(Verdict.NON_FINITE))
         after = Standing(verdict=verdict, num_steps=num_steps, shift=shift, turn=turn)

@@ -40,7 +40,7 @@ from cluttergen_jax.physics.log import silent_log
 from cluttergen_jax.physics.margin import MIN_SHIFT, TOUCH_REACH, UNDER_REACH, OverlapProbe
 from cluttergen_jax.physics.piles import Piler, PileRequest, walled_simulations
 from cluttergen_jax.physics.simulations import Motion, Simulations, sleeping_model
-from cluttergen_jax.physics.standing import displacement, verdict_of_scene
+from cluttergen_jax.physics.standing import displacement
 from cluttergen_jax.types import Piling, Settling, Standing, Verdict
 
 MAX_BATCHES = 3
@@ -308,7 +308,7 @@ class NativePhysics(HostPhysics):
             result.shift[at] = np.maximum(result.shift[at], np.where(counts, shift, 0.0).max(1))
             result.turn[at] = np.maximum(result.turn[at], np.where(counts, turn, 0.0).max(1))
             reached = (result.num_steps[at], result.shift[at], result.turn[at])
-            verdict = verdict_of_scene(np, *reached, is_placed[running], config)
+            verdict = stability.verdict_of_scene(np, *reached, is_placed[running], config)
             if is_brief:
                 is_past = (verdict == Verdict.NONE) & (result.num_steps[at] >= config.stand_steps)
                 verdict[is_past] = Verdict.UNSETTLED

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.geometry import norm
+from cluttergen_jax.physics.standing import has_moved
 from cluttergen_jax.types import Array, Verdict
 
 
@@ -182,3 +183,22 @@ def penetrates(xp: Any, depth: Array, depth_before: Array, config: StabilityConf
     """
     allowed = xp.minimum(depth_before + config.max_added_penetration, config.max_penetration)
     return xp.any(depth > allowed, axis=-1)
+
+
+def verdict_of_scene(
+    xp: Any, step: Array, shift: Array, turn: Array, is_placed: Array, config: StabilityConfig
+) -> Array:
+    """The last check's verdict after `step` steps, i32[...]: NONE while it is not over.
+
+    Staged: a scene that hardly moved by the end of the first stage stands, others run to the end of the
+    second.
+
+    Args:
+      step: i32[...]; shift, turn: f[..., K], the farthest so far; is_placed: bool[..., K].
+    """
+    is_unsteady = (shift > config.stand_shift) | (turn > config.stand_turn)
+    stands_early = (step == config.stand_steps) & ~xp.any(is_placed & is_unsteady, axis=-1)
+    stands_fully = ~xp.any(is_placed & has_moved(shift, turn, config), axis=-1)
+    at_end = xp.where(stands_fully, int(Verdict.STABLE), int(Verdict.CREPT))
+    verdict = xp.where(step >= config.stand_full_steps, at_end, int(Verdict.NONE))
+    return xp.asarray(xp.where(stands_early, int(Verdict.STABLE), verdict), dtype=xp.int32)

@@ -1,8 +1,8 @@
 """What stays put: the rule for finished scenes, and the one loop that watches whether they keep it.
 
 How far an object may ever be from where it began stands in `StabilityConfig` (`stand_full_shift` and
-`stand_full_turn`, docs/contract.md). Engines judge by `verdict_of_scene`; whoever simulates a finished scene
-in plain MuJoCo, or in another simulator, does so by `watch`.
+`stand_full_turn`, docs/contract.md). Engines judge by `stability.verdict_of_scene`; whoever simulates a
+finished scene in plain MuJoCo, or in another simulator, does so by `watch`.
 """
 
 from __future__ import annotations
@@ -16,8 +16,7 @@ import numpy as np
 
 from cluttergen_jax.config import Detector, StabilityConfig
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.geometry import norm, turn_between
-from cluttergen_jax.types import Array, Verdict
+from cluttergen_jax.geometry import Array, norm, turn_between
 
 STRIDE = 12
 """Steps between two looks at a scene of ours."""
@@ -39,25 +38,6 @@ def has_moved(shift: Array, turn: Array, limits: StabilityConfig) -> Array:
       shift, turn: f[...], metres and radians, the farthest.
     """
     return (shift > limits.stand_full_shift) | (turn > limits.stand_full_turn)
-
-
-def verdict_of_scene(
-    xp: Any, step: Array, shift: Array, turn: Array, is_placed: Array, config: StabilityConfig
-) -> Array:
-    """The last check's verdict after `step` steps, i32[...]: NONE while it is not over.
-
-    Staged: a scene that hardly moved by the end of the first stage stands, others run to the end of the
-    second.
-
-    Args:
-      step: i32[...]; shift, turn: f[..., K], the farthest so far; is_placed: bool[..., K].
-    """
-    is_unsteady = (shift > config.stand_shift) | (turn > config.stand_turn)
-    stands_early = (step == config.stand_steps) & ~xp.any(is_placed & is_unsteady, axis=-1)
-    stands_fully = ~xp.any(is_placed & has_moved(shift, turn, config), axis=-1)
-    at_end = xp.where(stands_fully, int(Verdict.STABLE), int(Verdict.CREPT))
-    verdict = xp.where(step >= config.stand_full_steps, at_end, int(Verdict.NONE))
-    return xp.asarray(xp.where(stands_early, int(Verdict.STABLE), verdict), dtype=xp.int32)
 
 
 def horizons_of(seconds: Sequence[float]) -> np.ndarray:

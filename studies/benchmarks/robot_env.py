@@ -16,7 +16,7 @@ from pathlib import Path
 import tyro
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.environments.env import RobotEnv
+from cluttergen_jax.downstream.episodes.env import RobotEnv
 from studies.benchmarks.section import prose, report, table
 
 _CONTROLS = 100

@@ -2,10 +2,7 @@
 
 import pickle
 import re
-import runpy
-import shutil
 import warnings
-from pathlib import Path
 
 import jax
 import mujoco
@@ -22,13 +19,12 @@ from gymnasium.utils.env_checker import check_env
 import cluttergen_jax as cg
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.downstream.environments import scripted
-from cluttergen_jax.downstream.environments.world import GripShare
+from cluttergen_jax.downstream.episodes.robot_parts import GripShare
 from cluttergen_jax.downstream.transforms import motion_between
 from cluttergen_jax.errors import ConfigError
 from tests.helpers.arm import ALONG_X, untested_grasp
 from tests.helpers.placing import write_bank
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
 RANDOM = cg.RandomizationConfig(mass=(0.5, 2.0), friction=(0.5, 0.9), light=(0.5, 1.5))
 
 
@@ -223,7 +219,7 @@ def test_another_robot_has_its_own_actions_and_its_gripper_opens_and_closes(bank
     given = env.world.description.gripper
     arm = env.world.robot
     model = env.world.model
-    share = GripShare(env.world.description)
+    share = GripShare(env.world.gripper, env.world.opened)
     assert share.control_of(1.0) == pytest.approx(given.open)
     assert share.control_of(-1.0) == pytest.approx(given.closed)
     for each in (-0.5, -1e-3, 0.0, 0.2, 1.0):
@@ -241,19 +237,6 @@ def test_another_robot_has_its_own_actions_and_its_gripper_opens_and_closes(bank
         widths.append(seen["agent_pos"][14])
     assert widths[0] < 0.005
     assert widths[1] > 0.03
-
-
-def test_lerobot_makes_vectors_of_environments(bank, tmp_path):
-    file = tmp_path / "env.py"
-    shutil.copy(EXAMPLES / "lerobot_env" / "env.py", file)
-    shutil.copytree(bank.bank.path, tmp_path / "bank")
-    envs = runpy.run_path(str(file))["make_env"](n_envs=2)["cluttergen"][0]
-    assert envs.num_envs == 2
-    assert set(envs.single_observation_space["pixels"].spaces) == {"front", "hand"}
-    assert envs.single_observation_space["agent_pos"].shape == (22,)
-    # LeRobot asks for both of all of its environments.
-    assert all(each > 0 for each in envs.get_attr("_max_episode_steps"))
-    assert envs.call("task_description") == ("place", "place")
 
 
 def end_of(env, pose, seed=0):

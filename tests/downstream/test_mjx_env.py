@@ -15,7 +15,6 @@ pytest.importorskip("gymnasium", reason="needs the extra gym")
 
 import cluttergen_jax as cg
 from cluttergen_jax.config import StabilityConfig
-from cluttergen_jax.downstream.environments.env import TIME_LIMIT
 from cluttergen_jax.downstream.environments.mjx_controls import MjxControls, quaternion_of
 from cluttergen_jax.downstream.environments.mjx_judge import (
     EpisodeEnd,
@@ -25,9 +24,12 @@ from cluttergen_jax.downstream.environments.mjx_judge import (
     Seen,
     Start,
 )
-from cluttergen_jax.downstream.environments.tasks import FALLEN, LEFT, LIFTED, TASKS
+from cluttergen_jax.downstream.episodes.env import TIME_LIMIT
+from cluttergen_jax.downstream.episodes.progress import LIFTED
+from cluttergen_jax.downstream.episodes.referee import WATCH_STEP, WATCHED
+from cluttergen_jax.downstream.episodes.tasks import FALLEN, LEFT, TASKS
 from cluttergen_jax.downstream.robot.description import find_robot
-from cluttergen_jax.downstream.robot.episode import WATCH_STEP, WATCHED, stand_beside
+from cluttergen_jax.downstream.robot.episode import stand_beside
 from cluttergen_jax.downstream.robot.outcome import Failed
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.errors import BankError, ConfigError

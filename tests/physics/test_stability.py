@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import cross, norm, rotate, turn_between
-from cluttergen_jax.physics import stability, standing
+from cluttergen_jax.physics import stability
 from cluttergen_jax.physics.host import below_top, mask_scenes
 from cluttergen_jax.types import Verdict
 
@@ -246,7 +246,7 @@ def test_the_last_check_is_staged():
     placed = np.array([True, False])
 
     def verdict(step, shift, turn=0.0, other=9.0):
-        found = standing.verdict_of_scene(
+        found = stability.verdict_of_scene(
             np, np.array(step), np.array([shift, other]), np.array([turn, other]), placed, CONFIG
         )
         return Verdict(int(found))

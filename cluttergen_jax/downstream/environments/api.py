@@ -15,12 +15,13 @@ from cluttergen_jax.downstream.rearrange import api as rearrange_api
 from cluttergen_jax.downstream.robot import api as robot_api
 from cluttergen_jax.downstream.words import (
     MjxImpl,
-    MjxReward,
     MjxTask,
     RecordFormat,
+    RenderMode,
     RobotCamera,
     RobotEnvTask,
     RobotPhysics,
+    RobotReward,
     check_choice,
 )
 from cluttergen_jax.errors import ConfigError, MissingExtraError, closest
@@ -30,11 +31,11 @@ from cluttergen_jax.numerics import with_own_settings
 if TYPE_CHECKING:
     import numpy as np
 
-    from cluttergen_jax.downstream.environments.env import RobotAction, RobotEnv
     from cluttergen_jax.downstream.environments.evaluation import Bound, Policy, PolicyEvaluation
     from cluttergen_jax.downstream.environments.mjx_env import MjxRobotEnv
     from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
     from cluttergen_jax.downstream.environments.recordings import Recording
+    from cluttergen_jax.downstream.episodes.env import RobotAction, RobotEnv
     from cluttergen_jax.downstream.robot.description import RobotDescription, RobotLike
     from cluttergen_jax.generation import BankArrays
 
@@ -60,8 +61,13 @@ def make_robot_env(
     randomization: RandomizationConfig | None = None,
     control_hz: float = 20.0,
     max_seconds: float | None = None,
+    reward: RobotReward = "sparse",
+    render_mode: RenderMode | None = "rgb_array",
 ) -> RobotEnv:
     """A `gymnasium.Env`: a robot in the scenes of a bank. Extras `gym` and `robot`.
+
+    `gymnasium.make("cluttergen/Place-v1", bank=..., robot=...)` makes it, too, and `gymnasium.make_vec` many;
+    the ids are cluttergen/Place-v1, cluttergen/Grasp-v1 and cluttergen/Rearrange-v1.
 
     Every reset draws a scene of the bank; equal seeds give equal episodes. Actions are set-points, reached
     evenly within a step of control. The judge is that of `robot place` and `rearrange`, and its rules hold:
@@ -77,7 +83,7 @@ def make_robot_env(
         actions of n + 1 numbers.
       recording: the environment that a recording was made in: its folder, robomimic's file, or what
         `read_recording` gives. `reset(options={"episode": k})` begins its episode k again. What else is given
-        may be `bank`, where that has moved, and `cameras` and `image_size`.
+        may be `bank`, where that has moved, `cameras`, `image_size`, `reward` and `render_mode`.
       action: "joint" (set-points), "joint_delta" (their changes) or "tool" (changes of the tool's pose).
       cameras: whose pictures are observed: overhead, front, side and wrist, which stand still, and hand.
       image_size: height and width, pixels.
@@ -85,6 +91,9 @@ def make_robot_env(
       randomization: what differs between episodes.
       control_hz: steps of control in a second.
       max_seconds: of an episode; 40 for "place", 15 for "grasp", 25 for each object for "rearrange".
+      reward: "sparse", 1 at success; or "dense", more by the change of `info["progress"]` (`make_mjx_env`; of
+        "rearrange" by how near objects are to their goals).
+      render_mode: "rgb_array", what `render` gives, or None.
 
     Raises:
       ConfigError: a setting is out of range, or no scene of the bank suits the task.
@@ -102,6 +111,8 @@ def make_robot_env(
         "randomization": randomization,
         "control_hz": control_hz,
         "max_seconds": max_seconds,
+        "reward": reward,
+        "render_mode": render_mode,
     }
     if recording is None:
         return build_env(task, bank, robot, **given)
@@ -118,7 +129,7 @@ def _env_of(recording: Recording | str | Path, given: dict[str, Any]) -> RobotEn
     }
     changed = {name: value for name, value in given.items() if value is not usual[name]}
     changed = {name: value for name, value in changed.items() if value != usual[name]}
-    free = ("bank", "cameras", "image_size")
+    free = ("bank", "cameras", "image_size", "reward", "render_mode")
     if fixed := [name for name in changed if name not in free]:
         raise ConfigError(
             f"{', '.join(fixed)} together with `recording`, which has its own",
@@ -146,7 +157,7 @@ def make_mjx_env(
     *,
     impl: MjxImpl = "auto",
     num_envs: int = 1024,
-    reward: MjxReward = "dense",
+    reward: RobotReward = "dense",
     randomization: RandomizationConfig | None = None,
     control_hz: float = 20.0,
     max_seconds: float | None = None,
@@ -173,7 +184,7 @@ def make_mjx_env(
 
     A dense reward is the change of `metrics["progress"]`, and 1 more at success. Progress, 0 to 1, grows as
     the tool comes near, the hand touches, and the object is lifted ("grasp") or nears the region, lies there
-    let go, and is watched ("place"); it shrinks as other objects move, and is 0 after a failure.
+    let go, and is watched ("place"); it shrinks as other objects move.
 
     Args:
       bank: a folder, OWNER/NAME on a hub, or what `load_bank` gives.
@@ -194,8 +205,8 @@ def make_mjx_env(
       BankError: the bank cannot be read, or no scene in it is stable.
       MissingExtraError: an extra is not installed.
     """
-    from cluttergen_jax.downstream.environments.tasks import TASKS
-    from cluttergen_jax.downstream.environments.world import check_reach, support_of, with_robot
+    from cluttergen_jax.downstream.environments.world import check_reach, stands_of, with_robot
+    from cluttergen_jax.downstream.episodes.tasks import TASKS
     from cluttergen_jax.generation import BankArrays, load_bank
 
     if task not in get_args(MjxTask):
@@ -206,7 +217,7 @@ def make_mjx_env(
             closest(task, get_args(MjxTask)),
         )
     check_choice("impl", impl, MjxImpl)
-    check_choice("reward", reward, MjxReward)
+    check_choice("reward", reward, RobotReward)
     check_range("num_envs", num_envs, 1, _MOST_ENVS, 1024)
     _check_number("control_hz", control_hz, 1, 240)
     _check_number("max_seconds", max_seconds, 0.1, 3600)
@@ -221,7 +232,7 @@ def make_mjx_env(
         found,
         robot,
         physics="learning",
-        stands=kind.stands(support_of(found)),
+        stands=stands_of(kind, found),
         randomization=randomization,
     )
     places = kind.places(found)

@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
-from cluttergen_jax.downstream.environments.tasks import TASKS
-from cluttergen_jax.downstream.environments.world import support_of, with_robot
+from cluttergen_jax.downstream.environments.world import stands_of, with_robot
+from cluttergen_jax.downstream.episodes.tasks import TASKS
 from cluttergen_jax.downstream.robot.description import RobotLike
-from cluttergen_jax.downstream.words import RobotPhysics
+from cluttergen_jax.downstream.words import RenderMode, RobotPhysics, RobotReward
 from cluttergen_jax.errors import ConfigError, MissingExtraError, closest
 from cluttergen_jax.generation import BankArrays, load_bank
 
 if TYPE_CHECKING:
-    from cluttergen_jax.downstream.environments.env import RobotAction, RobotEnv
     from cluttergen_jax.downstream.environments.recordings import Recording
+    from cluttergen_jax.downstream.episodes.env import RobotAction, RobotEnv
 
 
 def build_env(
@@ -34,10 +34,12 @@ def build_env(
     max_seconds: float | None = None,
     recording: Recording | None = None,
     draws_scenes: bool = True,
+    reward: RobotReward = "sparse",
+    render_mode: RenderMode | None = "rgb_array",
 ) -> RobotEnv:
     """As `make_robot_env`; draws_scenes: whether there has to be a scene that a reset can draw."""
     try:
-        from cluttergen_jax.downstream.environments.env import RobotEnv, check_settings
+        from cluttergen_jax.downstream.episodes.env import RobotEnv, check_settings
     except ModuleNotFoundError as error:
         if error.name != "gymnasium":
             raise
@@ -46,7 +48,7 @@ def build_env(
         raise ConfigError(
             f"task = {task!r}", ", ".join(TASKS), "task='place'", closest(task, TASKS)
         )
-    check_settings(action, cameras, image_size, control_hz, max_seconds)
+    check_settings(action, cameras, image_size, control_hz, max_seconds, reward, render_mode)
     if not isinstance(bank, (BankArrays, str, Path)):
         raise ConfigError(
             f"a bank of type {type(bank).__name__}", "a folder, or that of cg.load_bank"
@@ -57,7 +59,7 @@ def build_env(
         found,
         robot,
         physics=physics,
-        stands=kind.stands(support_of(found)),
+        stands=stands_of(kind, found),
         randomization=randomization,
     )
     recipe = partial(
@@ -74,6 +76,8 @@ def build_env(
         max_seconds=max_seconds,
         recording=recording,
         draws_scenes=draws_scenes,
+        reward=reward,
+        render_mode=render_mode,
     )
     settings = (action, tuple(cameras), image_size, control_hz, max_seconds)
-    return RobotEnv(world, kind, *settings, recipe, recording, draws_scenes)
+    return RobotEnv(world, kind, *settings, recipe, recording, draws_scenes, reward, render_mode)

@@ -21,7 +21,7 @@ from cluttergen_jax.downstream.robot.recording import EpisodeRecording
 from cluttergen_jax.downstream.words import RecordFormat
 
 if TYPE_CHECKING:
-    from cluttergen_jax.downstream.environments.env import RobotEnv
+    from cluttergen_jax.downstream.episodes.env import RobotEnv
 
 
 def capture(

@@ -8,9 +8,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cluttergen_jax.downstream.environments.env import RobotEnv
 from cluttergen_jax.downstream.environments.scripted import plan_actions
-from cluttergen_jax.downstream.environments.tasks import EpisodeStart
+from cluttergen_jax.downstream.episodes.env import RobotEnv
+from cluttergen_jax.downstream.episodes.starts import EpisodeStart
 from cluttergen_jax.downstream.robot import episode_seed
 from cluttergen_jax.downstream.robot.outcome import Outcome
 from cluttergen_jax.errors import ConfigError

@@ -7,9 +7,10 @@ import numpy as np
 from mujoco import mjx
 
 from cluttergen_jax.downstream.environments.mjx_judge import Start
-from cluttergen_jax.downstream.environments.world import GripShare, RobotWorld
+from cluttergen_jax.downstream.environments.world import RobotWorld
+from cluttergen_jax.downstream.episodes.robot_parts import GripShare
 from cluttergen_jax.downstream.robot.gripper import gripper_of
-from cluttergen_jax.types import Array
+from cluttergen_jax.geometry import Array
 
 _OBJECT_ROW = 11
 _POSE = 7
@@ -30,7 +31,7 @@ class MjxControls:
         arm = world.robot
         self._arm = arm
         self._most = jnp.asarray(world.description.arm.speed, jnp.float32) * period
-        share = GripShare(world.description)
+        share = GripShare(world.gripper, world.opened)
         self._grips = jnp.asarray([share.control_of(each) for each in (-1.0, 0.0, 1.0)])
         self._grip_step = share.speed * period
         gripper = gripper_of(world.description)

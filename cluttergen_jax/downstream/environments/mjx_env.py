@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -27,19 +27,16 @@ from cluttergen_jax.downstream.environments.mjx_judge import (
     is_closing,
     moved_others,
 )
-from cluttergen_jax.downstream.environments.tasks import LIFTED
 from cluttergen_jax.downstream.environments.world import RobotWorld
+from cluttergen_jax.downstream.episodes.progress import grasp_progress, place_progress
+from cluttergen_jax.downstream.episodes.simulation import MAX_FORCE
 from cluttergen_jax.downstream.robot.episode import stand_beside
-from cluttergen_jax.downstream.robot.motion.execute import MAX_FORCE
-from cluttergen_jax.downstream.words import MjxReward, MjxTask
+from cluttergen_jax.downstream.words import MjxTask, RobotReward
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation import BankArrays, WorldState
+from cluttergen_jax.geometry import Array
 from cluttergen_jax.numerics import with_own_settings
 from cluttergen_jax.physics import faces_first, soften_contacts
-from cluttergen_jax.types import Array
-
-if TYPE_CHECKING:
-    from cluttergen_jax.downstream.environments.api import MjxReward, MjxTask
 
 _MAX_STATE = 1e10
 """MuJoCo's own limit (mjMAXVAL): what is larger has diverged."""
@@ -108,7 +105,7 @@ class MjxRobotEnv:
         places: np.ndarray,
         impl: str,
         num_envs: int,
-        reward: MjxReward,
+        reward: RobotReward,
         control_hz: float,
         max_seconds: float,
     ) -> None:
@@ -218,7 +215,7 @@ class MjxRobotEnv:
         is_success = ending == EpisodeEnd.SUCCESS
         is_over = (ending != EpisodeEnd.NONE) & (ending != EpisodeEnd.TIME_LIMIT)
         progress = self._progress(data, start, memory)
-        progress = jnp.where(is_over, is_success.astype(jnp.float32), progress)
+        progress = jnp.where(is_success, 1.0, jnp.where(is_finite, progress, before))
         reward = is_success + (progress - before if self._is_dense else 0.0)
         displaced = jnp.where(is_finite, moved_others(start, seen.poses)[1], 0.0)
         obs = self._controls.observe(data, start, info["slots"])
@@ -266,15 +263,13 @@ class MjxRobotEnv:
         target = poses[start.target]
         found, _ = self._sensors.read(data.sensordata)
         is_held = found[start.target]
-        near = 1 - jnp.tanh(5 * jnp.linalg.norm(target[:3] - data.site_xpos[self.world.robot.site]))
-        still = 1 - jnp.tanh(20 * moved_others(start, poses)[1])
+        distance = jnp.linalg.norm(target[:3] - data.site_xpos[self.world.robot.site])
+        displaced = moved_others(start, poses)[1]
         if self.task == "grasp":
-            lifted = jnp.clip((target[2] - start.poses[start.target, 2]) / LIFTED, 0.0, 1.0)
-            return still * (0.3 * near + jnp.where(is_held, 0.2 + 0.5 * lifted, 0.0))
+            height = target[2] - start.poses[start.target, 2]
+            return grasp_progress(jnp, distance, displaced, is_held, height)
         away = distance_to_region(self.world.support, target)
-        carried = 0.2 * near + jnp.where(is_held, 0.2 + 0.4 * (1 - jnp.tanh(5 * away)), 0.0)
-        carried = jnp.where((away == 0) & ~is_held, 0.8, carried)
-        return still * jnp.where(memory.is_watching, 1.0, carried)
+        return place_progress(jnp, distance, displaced, is_held, away, memory.is_watching)
 
     def ending_text(self, state: MjxState) -> Any:
         """How an episode ended, in words as of `make_robot_env`; "" before that. Of a batch, a list."""

@@ -18,15 +18,16 @@ from flax import struct
 
 from cluttergen_jax.assets import Box, SupportAsset
 from cluttergen_jax.config import StabilityConfig
-from cluttergen_jax.downstream.environments.tasks import FALLEN, LEFT, LIFTED
 from cluttergen_jax.downstream.environments.world import RobotWorld
+from cluttergen_jax.downstream.episodes.progress import LIFTED
+from cluttergen_jax.downstream.episodes.referee import WATCH_STEP, WATCHED
+from cluttergen_jax.downstream.episodes.tasks import FALLEN, LEFT
 from cluttergen_jax.downstream.robot.description import RobotDescription
-from cluttergen_jax.downstream.robot.episode import WATCH_STEP, WATCHED, stand_beside
+from cluttergen_jax.downstream.robot.episode import stand_beside
 from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.robot.outcome import Outcome
-from cluttergen_jax.geometry import yaw_matrix
+from cluttergen_jax.geometry import Array, yaw_matrix
 from cluttergen_jax.physics import displacement, has_moved
-from cluttergen_jax.types import Array
 
 
 class EpisodeEnd(IntEnum):

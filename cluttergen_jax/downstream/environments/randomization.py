@@ -14,8 +14,8 @@ import numpy as np
 from cluttergen_jax.assets import VISUAL_GROUP
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation import BankWorld
+from cluttergen_jax.geometry import Array
 from cluttergen_jax.rendering import add_table_materials, table_materials
-from cluttergen_jax.types import Array
 
 _MOST = 10.0
 _LEAST_FACTOR = 0.05

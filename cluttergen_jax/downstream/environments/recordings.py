@@ -11,7 +11,7 @@ import json
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,17 +22,16 @@ import pyarrow.parquet as pq
 
 from cluttergen_jax.assets import object_hash, support_hash
 from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
-from cluttergen_jax.downstream.environments.tasks import EpisodeStart
-from cluttergen_jax.downstream.environments.world import RobotWorld
+from cluttergen_jax.downstream.episodes.starts import SavedStart
 from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot, list_robots
 from cluttergen_jax.downstream.robot.recorder import DATA, EPISODE_TABLE, STORE
 from cluttergen_jax.errors import BankError, ConfigError, MissingExtraError, range_text
 from cluttergen_jax.evaluation import versions
-from cluttergen_jax.generation import BankArrays, WorldState
+from cluttergen_jax.generation import BankArrays
 from cluttergen_jax.schema import SchemaError, convert
 
 if TYPE_CHECKING:
-    from cluttergen_jax.downstream.environments.env import RobotEnv
+    from cluttergen_jax.downstream.episodes.env import RobotEnv
 
 CONTRACT = 1
 """What numbers mean in a recording and its environment; another one is another contract."""
@@ -46,69 +45,6 @@ _SETTINGS = (
 )
 """Of `make_env`, as they are; task, bank, robot and randomization are written otherwise."""
 _AGAIN = "recording again: cluttergen robot record BANK"
-
-
-@dataclass(frozen=True, eq=False)
-class SavedStart:
-    """How an episode began, so that it can begin again.
-
-    Attributes:
-      scene: its number in the bank. seed: of what was randomized.
-      target: the name of the object that is to be moved (first).
-      names: of the scene's N objects. poses: f64[N, 7], T_world_object, where they began.
-      goals: f64[N, 7], as `EpisodeStart.goals`.
-      words: the task in words.
-    """
-
-    scene: int
-    seed: int
-    target: str
-    names: tuple[str, ...]
-    poses: np.ndarray
-    goals: np.ndarray
-    words: str
-
-    def text(self) -> str:
-        """As JSON; floats come back as they were."""
-        arrays = {"poses": self.poses.tolist(), "goals": self.goals.tolist()}
-        return json.dumps({**self.__dict__, "names": list(self.names), **arrays})
-
-    @staticmethod
-    def of_text(text: str) -> SavedStart:
-        """What `text` wrote (LookupError, TypeError or ValueError: it did not)."""
-        found = json.loads(text)
-        arrays = {name: np.array(found[name], np.float64) for name in ("poses", "goals")}
-        names = tuple(found["names"])
-        start = SavedStart(**{**found, "names": names, **arrays})
-        if any(each.shape != (len(names), 7) for each in arrays.values()) or (
-            start.target not in names
-        ):
-            raise ValueError("a start whose poses are not those of its objects")
-        return start
-
-    def of(self, world: RobotWorld) -> tuple[WorldState, EpisodeStart]:
-        """The same in a world. Raises BankError: its bank has another scene there."""
-        try:
-            state = world.reset(self.seed, index=self.scene)
-        except ConfigError as error:
-            raise _other_scene(self) from error
-        scene = world.scene(state)
-        if sorted(scene.names) != sorted(self.names):
-            raise _other_scene(self)
-        order = [self.names.index(name) for name in scene.names]
-        placed = replace(scene, poses=self.poses[order])
-        # To the last bit: a quaternion of unit length that is divided by its own changes in that.
-        placed.poses[:] = self.poses[order]
-        target = scene.names.index(self.target)
-        return state, EpisodeStart(placed, target, self.goals[order].copy())
-
-
-def _other_scene(start: SavedStart) -> BankError:
-    return BankError(
-        f"an episode that began in scene {start.scene} of {', '.join(start.names)}",
-        "the bank that it was recorded in",
-        "make_env(recording=..., bank=FOLDER)",
-    )
 
 
 def world_digest(bank: BankArrays) -> str:

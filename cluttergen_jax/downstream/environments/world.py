@@ -6,42 +6,49 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 from scipy.spatial import KDTree
-from scipy.spatial.transform import Rotation
 
-from cluttergen_jax.assets import Box, SupportAsset
+from cluttergen_jax.assets import Box, SupportAsset, turn_symmetry
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.downstream.environments.randomization import (
     RandomizationConfig,
     draw_fields,
     prepare,
 )
+from cluttergen_jax.downstream.episodes.robot_parts import Gripper, PartNames
+from cluttergen_jax.downstream.episodes.tasks import Task
+from cluttergen_jax.downstream.episodes.world import numbers_of
 from cluttergen_jax.downstream.robot.cameras import SIZE, wrist_camera
 from cluttergen_jax.downstream.robot.check import usable_robot
 from cluttergen_jax.downstream.robot.description import RobotDescription, RobotLike, find_robot
+from cluttergen_jax.downstream.robot.episode import stand_beside
 from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.robot.model import Robot as Arm
-from cluttergen_jax.downstream.robot.model import add_pedestals, base_pose, remove_unused_meshes
+from cluttergen_jax.downstream.robot.model import (
+    add_pedestals,
+    base_pose,
+    part_names,
+    remove_unused_meshes,
+)
 from cluttergen_jax.downstream.robot.model import arm_spec as whole_arm
 from cluttergen_jax.downstream.robot.motion.collision import add_stand
+from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
 from cluttergen_jax.downstream.words import RobotPhysics, check_choice
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.generation import BankArrays, BankAttachment, BankWorld, WorldState
-from cluttergen_jax.rendering import add_lighting
+from cluttergen_jax.geometry import Array
+from cluttergen_jax.rendering import add_lighting, new_context
 from cluttergen_jax.scene import FixedCamera, Scene, region_of
-from cluttergen_jax.types import Array
 
 HAND_CAMERA = "hand"
 """The camera on the hand; others bear the names of `scene.cameras`."""
 _LEARNING_MODELS = {"panda": "mjx_panda.xml"}
 """Of Menagerie: the same robot with few, simple colliders, beside the file of the arm."""
-_GRIP_RATE = 8.0
-"""By how many times its range the gripper's set-point moves in a second at most: 0.32 m/s of the Panda's."""
 
 
 def arm_spec(contact: ContactConfig, robot: RobotDescription, is_simple: bool) -> mujoco.MjSpec:
@@ -104,42 +111,6 @@ def set_home(robot: RobotDescription, arm: Arm, qpos: np.ndarray, ctrl: np.ndarr
     qpos[arm.qpos] = ctrl[arm.ctrl] = robot.arm.home
     qpos[arm.fingers] = gripper.joints_of(np.array(gripper.max_opening))
     ctrl[arm.grip] = gripper.control_of(np.array(gripper.max_opening))
-
-
-class GripShare:
-    """The gripper's set-point as a number: 1 is open, 0 is where the fingers meet, -1 presses hardest.
-
-    Args:
-      robot: whose gripper it is.
-
-    Attributes:
-      speed: how fast the set-point moves at most, in units of the actuator, per second.
-    """
-
-    def __init__(self, robot: RobotDescription) -> None:
-        given = robot.gripper
-        self._meet = float(gripper_of(robot).control[0])
-        self._open = given.open - self._meet
-        self._closed = given.closed - self._meet
-        self.speed = _GRIP_RATE * abs(self._open)
-
-    def control_of(self, share: float) -> float:
-        """The set-point."""
-        return self._meet + share * (self._open if share >= 0 else -self._closed)
-
-    def share_of(self, control: float) -> float:
-        """What `control_of` makes a set-point of; 0 to -1 where the gripper cannot press."""
-        beyond = control - self._meet
-        side = self._open if beyond * self._open >= 0 else -self._closed
-        return beyond / side if side else 0.0
-
-
-def move_tool(T_world_tool: np.ndarray, shift: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """f64[4, 4]: a pose moved by f[3] metres and turned by the rotation vector f[3], in world axes."""
-    pose = T_world_tool.copy()
-    pose[:3, 3] += shift
-    pose[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ pose[:3, :3]
-    return pose
 
 
 LEARNING_STEP = 1 / 480
@@ -206,6 +177,55 @@ class RobotWorld(BankWorld):
         """Where the robot's joints, actuators, fingers, tool site and bodies are in the model."""
         return Arm.of(self.model, self.description)
 
+    @property
+    def parts(self) -> PartNames:
+        """What the parts of the robot are called in the model."""
+        return part_names(self.description)
+
+    @cached_property
+    def gripper(self) -> Gripper:
+        """How the gripper moves."""
+        return gripper_of(self.description)
+
+    @property
+    def opened(self) -> float:
+        """The control that opens the gripper."""
+        return self.description.gripper.open
+
+    @property
+    def prefix(self) -> str:
+        """Before the robot's names."""
+        return self.description.prefix
+
+    @property
+    def speed(self) -> Sequence[float]:
+        """rad/s, of the arm's joints at most."""
+        return self.description.arm.speed
+
+    @property
+    def home(self) -> Sequence[float]:
+        """Radians, of the arm's joints at the beginning."""
+        return self.description.arm.home
+
+    @cached_property
+    def stand(self) -> Box:
+        """The box beside the support that objects are placed from, where the task has one."""
+        return stand_beside(self.support)
+
+    @staticmethod
+    def symmetries(scene: Scene) -> list[int]:
+        """Of each object of a scene, after how many equal turns about its z it looks the same."""
+        return [turn_symmetry(asset) for asset in scene.objects]
+
+    def kinematics(self) -> ArmKinematics:
+        """Of the arm, its base where it stands."""
+        return ArmKinematics(self.base, self.description)
+
+    @staticmethod
+    def new_context(width: int, height: int) -> Any:
+        """A GL context, made current (RendererError: nothing here can draw)."""
+        return new_context(width, height)
+
     @cached_property
     def support(self) -> SupportAsset:
         """The support, its region that of the bank."""
@@ -253,6 +273,11 @@ class RobotWorld(BankWorld):
 def support_of(bank: BankArrays) -> SupportAsset:
     """The support of a bank, its region the one that scenes were made in."""
     return replace(bank.bank.support, region=region_of(bank.bank))
+
+
+def stands_of(task: Task, bank: BankArrays) -> tuple[Box, ...]:
+    """Boxes that a task needs beside the support of a bank."""
+    return (stand_beside(support_of(bank)),) if task.has_stand else ()
 
 
 def with_robot(
@@ -384,11 +409,3 @@ def _is_pose(pose: Sequence[float]) -> bool:
     return values.shape == (7,) and bool(
         np.isfinite(values).all() and abs(np.linalg.norm(values[3:]) - 1) < 1e-6
     )
-
-
-def numbers_of(given: object) -> np.ndarray:
-    """f64 of what was given, of no shape that is wanted if it is none."""
-    try:
-        return np.asarray(given, np.float64)
-    except (TypeError, ValueError):
-        return np.full((0, 0), np.nan)

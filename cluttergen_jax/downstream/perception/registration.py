@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cluttergen_jax.assets import ROUND, ObjectAsset, SupportAsset
+from cluttergen_jax.assets import ObjectAsset, SupportAsset
 from cluttergen_jax.downstream.perception.object_model import Comparer, ObjectModel
 from cluttergen_jax.downstream.perception.types import PoseEstimate
 from cluttergen_jax.downstream.transforms import (
@@ -25,7 +25,7 @@ from cluttergen_jax.downstream.transforms import (
     turn_matrix,
 )
 from cluttergen_jax.errors import ConfigError, MissingExtraError, range_text
-from cluttergen_jax.geometry import rotation_matrix, yaw_matrix
+from cluttergen_jax.geometry import ROUND, rotation_matrix, yaw_matrix
 from cluttergen_jax.sensing import View
 
 NUM_YAWS = 24

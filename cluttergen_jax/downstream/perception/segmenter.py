@@ -27,9 +27,9 @@ from cluttergen_jax.downstream.perception.types import (
     num_classes,
 )
 from cluttergen_jax.errors import PoolError
+from cluttergen_jax.geometry import Array
 from cluttergen_jax.learning import read_policy, read_record
 from cluttergen_jax.sensing import Camera
-from cluttergen_jax.types import Array
 
 # Pixels of what the network reads and answers.
 WIDTH = 160

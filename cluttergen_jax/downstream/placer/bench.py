@@ -31,9 +31,10 @@ from cluttergen_jax.downstream.placer.query import (
     is_plain,
 )
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.geometry import Array
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.own_parts import is_own, part_name
-from cluttergen_jax.physics import PaperCount
+from cluttergen_jax.physics import PaperCount, Verdict
 from cluttergen_jax.placement import (
     CLEARANCE,
     Candidates,
@@ -49,7 +50,6 @@ from cluttergen_jax.placement import (
 )
 from cluttergen_jax.progress import Progress, interruptible
 from cluttergen_jax.statistics import proportion
-from cluttergen_jax.types import Array, Verdict
 
 _AT_ONCE = 250
 

@@ -37,11 +37,11 @@ from cluttergen_jax.evaluation import Store, versions
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.learning import checkpoint_of
 from cluttergen_jax.own_parts import part_label, part_name
+from cluttergen_jax.physics import Verdict
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene import Bank, read_bank
 from cluttergen_jax.statistics import proportion
 from cluttergen_jax.tables import Table
-from cluttergen_jax.types import Verdict
 
 UNSEEN = (0.0, 0.1, 0.2, 0.3, 1.0)
 """Bounds of classes by the share of the region that the camera did not see."""

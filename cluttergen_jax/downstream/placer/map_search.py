@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from cluttergen_jax.downstream.placer.query import PlacementQuery
+from cluttergen_jax.geometry import Array
 from cluttergen_jax.placement import (
     CLEARANCE,
     Candidates,
@@ -22,7 +23,6 @@ from cluttergen_jax.placement import (
     mean_under,
     support_share,
 )
-from cluttergen_jax.types import Array
 
 APART = 0.03
 """Metres in plan between two proposals for one query."""

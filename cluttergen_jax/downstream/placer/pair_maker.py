@@ -35,7 +35,9 @@ from cluttergen_jax.downstream.placer.partial_scenes import PartialScenes, Propo
 from cluttergen_jax.downstream.placer.query import PlacementQuery
 from cluttergen_jax.downstream.samples import SPLITS
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.geometry import Array
 from cluttergen_jax.numerics import new_key
+from cluttergen_jax.physics import Verdict
 from cluttergen_jax.placement import (
     CLEARANCE,
     Episode,
@@ -49,7 +51,6 @@ from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene import Bank, assets_section, front_matter, write_unless_own
 from cluttergen_jax.sensing import FIRST_OBJECT, SUPPORT, Camera
 from cluttergen_jax.tables import markdown_table
-from cluttergen_jax.types import Array, Verdict
 
 # Sources: a search on the true map, one on what the camera saw, and poses drawn uniformly.
 TRUE_MAP = 0

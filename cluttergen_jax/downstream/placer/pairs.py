@@ -39,12 +39,12 @@ from cluttergen_jax.downstream.words import MAX_PAIRS
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.generation import setup_of
 from cluttergen_jax.geometry import product, rotation_matrix
+from cluttergen_jax.physics import Verdict
 from cluttergen_jax.placement import Problem, Setup
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene import Bank
 from cluttergen_jax.schema import Numbers, SchemaError, refuse
 from cluttergen_jax.sensing import Camera
-from cluttergen_jax.types import Verdict
 
 
 class PairSplit(msgspec.Struct):

@@ -13,7 +13,9 @@ import numpy as np
 from cluttergen_jax.downstream.bank_scenes import StableScenes
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.generation import setup_of
+from cluttergen_jax.geometry import Array
 from cluttergen_jax.numerics import new_key
+from cluttergen_jax.physics import Verdict
 from cluttergen_jax.placement import (
     MIN_MARGIN,
     Episode,
@@ -25,7 +27,6 @@ from cluttergen_jax.placement import (
     to_pose,
 )
 from cluttergen_jax.scene import Bank
-from cluttergen_jax.types import Array, Verdict
 
 
 class PartialScenes:

@@ -26,6 +26,7 @@ from cluttergen_jax.downstream.placer.scored import (
     placer_folder,
 )
 from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.geometry import Array
 from cluttergen_jax.learning import checkpoint_of, proposer_of, with_history_of
 from cluttergen_jax.placement import (
     CLEARANCE,
@@ -36,7 +37,6 @@ from cluttergen_jax.placement import (
     SearchConfig,
     pose_of_action,
 )
-from cluttergen_jax.types import Array
 
 
 class RandomPlacer(struct.PyTreeNode):

@@ -10,9 +10,9 @@ import numpy as np
 from flax import struct
 
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.geometry import Array
 from cluttergen_jax.own_parts import array_of, part_name
 from cluttergen_jax.placement import VOID, HeightMap, UnderSide
-from cluttergen_jax.types import Array
 
 CELL = 0.01
 """Metres: the sides of a cell of a query's maps."""

@@ -18,7 +18,9 @@ from cluttergen_jax.downstream.placer.map_search import best_apart, draw, join
 from cluttergen_jax.downstream.placer.query import NUM_PROPOSALS, Example, PlacementQuery, Proposals
 from cluttergen_jax.downstream.words import PlacerHead
 from cluttergen_jax.errors import ConfigError, PoolError, closest
+from cluttergen_jax.geometry import Array
 from cluttergen_jax.learning import read_policy, read_record
+from cluttergen_jax.physics import Verdict
 from cluttergen_jax.placement import (
     CLEARANCE,
     VOID,
@@ -32,7 +34,6 @@ from cluttergen_jax.placement import (
     support_share,
     touching,
 )
-from cluttergen_jax.types import Array, Verdict
 
 NUM_FEATURES = 36
 CROP_SIDE = 24

@@ -34,9 +34,9 @@ from cluttergen_jax.downstream.placer.scored import KIND, ScoredHead
 from cluttergen_jax.downstream.words import PlacerNoise
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.learning import Calibration, calibration, draw_calibration
+from cluttergen_jax.physics import Verdict
 from cluttergen_jax.placement import UnderSide
 from cluttergen_jax.progress import Progress
-from cluttergen_jax.types import Verdict
 
 _TENTH = 10
 # The last digits of pairs that the paper's protocol tests and validates with; where there is no validation

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cluttergen_jax.downstream.rearrange.judge import MAX_ERROR, RearrangementJudge
+from cluttergen_jax.downstream.episodes.layout_judge import MAX_ERROR, RearrangementJudge
+from cluttergen_jax.downstream.episodes.outcome import Cause
 from cluttergen_jax.downstream.rearrange.layouts import (
     ROOM,
     Layouts,
@@ -18,7 +19,7 @@ from cluttergen_jax.downstream.rearrange.layouts import (
     clearance_of,
     prefer,
 )
-from cluttergen_jax.downstream.rearrange.observe import Cause, EpisodeView, ObjectTracker, Observer
+from cluttergen_jax.downstream.rearrange.observe import EpisodeView, ObjectTracker, Observer
 from cluttergen_jax.downstream.rearrange.order import (
     Meetings,
     lowest_first,

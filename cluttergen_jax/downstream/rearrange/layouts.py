@@ -30,11 +30,11 @@ from cluttergen_jax.downstream.words import LayoutRule
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.evaluation import embed
 from cluttergen_jax.generation import make_sampler, setup_of
+from cluttergen_jax.geometry import Array
 from cluttergen_jax.learning import choose_method, sampler_of
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.placement import MIN_MARGIN, PlacementConfig, make_region
 from cluttergen_jax.scene import Bank, Scene, region_of
-from cluttergen_jax.types import Array
 
 AREA = Rectangle((0.0, 0.0), (0.27, 0.32))
 """All of the usual table that the arm reaches; objects may wait anywhere in it."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -36,19 +35,6 @@ OTHERWISE = 0.7
 
 _MOMENTS = 2
 """Moments that have told where an object is, from which on one alone does not turn it round on the spot."""
-
-
-class Cause(StrEnum):
-    """How an episode ends without success, besides `robot.outcome.Outcome`.
-
-    NOT_SEEN: the observer never saw an object. NO_LAYOUT: no layout was found. NO_ORDER: there is no order of
-    picks, buffers included, that the arm can do. MISPLACED: an object was not where it should be in the end.
-    """
-
-    NOT_SEEN = "not seen"
-    NO_LAYOUT = "no layout"
-    NO_ORDER = "no order"
-    MISPLACED = "misplaced"
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from cluttergen_jax.downstream.robot.cameras import above, wrist_camera
     from cluttergen_jax.downstream.robot.check import RobotCheck, usable_robot
     from cluttergen_jax.downstream.robot.description import RobotDescription, find_robot
-    from cluttergen_jax.downstream.robot.episode import WATCHED
     from cluttergen_jax.downstream.robot.film import check_films
     from cluttergen_jax.downstream.robot.grasping.grasp_dataset import GraspDataset
     from cluttergen_jax.downstream.robot.grasping.grasps import GraspFinder, Grasps, GraspSets
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
         Outcome,
         run_to_end,
         success_of,
-        told_motion,
     )
     from cluttergen_jax.downstream.robot.protocols import GraspSource, PathPlanner
     from cluttergen_jax.downstream.robot.recorder import STARTS, DemonstrationRecorder, RecordAsked
@@ -47,7 +45,6 @@ __getattr__, __all__ = offer(
         "cameras": ("above", "wrist_camera"),
         "check": ("RobotCheck", "usable_robot"),
         "description": ("RobotDescription", "find_robot"),
-        "episode": ("WATCHED",),
         "film": ("check_films",),
         "grasping.grasp_dataset": ("GraspDataset",),
         "grasping.grasps": ("GraspFinder", "GraspSets", "Grasps"),
@@ -66,7 +63,6 @@ __getattr__, __all__ = offer(
             "Outcome",
             "run_to_end",
             "success_of",
-            "told_motion",
         ),
         "protocols": ("GraspSource", "PathPlanner"),
         "recorder": ("DemonstrationRecorder", "RecordAsked", "STARTS"),

@@ -118,12 +118,12 @@ def compile_model(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
 def model_digest(fields: Any, path: Path) -> str:
     """Of fields, and of all files that a model consists of, wherever they lie."""
     found = hashlib.sha256(json.dumps(fields, sort_keys=True).encode())
-    for each in _files_of(path):
+    for each in model_files(path):
         found.update(hashlib.sha256(each.read_bytes()).digest())
     return found.hexdigest()
 
 
-def _files_of(path: Path) -> Iterable[Path]:
+def model_files(path: Path) -> Iterable[Path]:
     """A file in MJCF and all that it names, each once."""
     found = dict.fromkeys([path])
     waiting = [path]

@@ -10,29 +10,26 @@ from typing import NamedTuple
 import numpy as np
 
 from cluttergen_jax.assets import Box, SupportAsset
-from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.downstream.episodes.outcome import Failed, Outcome, told_motion
+from cluttergen_jax.downstream.episodes.progress import LIFT
+from cluttergen_jax.downstream.episodes.referee import EpisodeReferee, pose_on_stand
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.model import base_pose
 from cluttergen_jax.downstream.robot.motion.collision import PlanningWorld
-from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase, Trace
+from cluttergen_jax.downstream.robot.motion.execute import Execution, Trace
 from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
-from cluttergen_jax.downstream.robot.motion.mover import LIFT, MAX_SLIP, MAX_TURN, Mover
-from cluttergen_jax.downstream.robot.outcome import Ending, Failed, Outcome, run_to_end, told_motion
+from cluttergen_jax.downstream.robot.motion.mover import MAX_SLIP, MAX_TURN, Mover
+from cluttergen_jax.downstream.robot.outcome import Ending, run_to_end
 from cluttergen_jax.downstream.robot.places import CameraPlacer
 from cluttergen_jax.downstream.robot.protocols import PathPlanner
 from cluttergen_jax.downstream.robot.sensing_arm import SensingArm
-from cluttergen_jax.downstream.transforms import angle_between, matrix_of, motion_between
-from cluttergen_jax.geometry import product, rotate_in_plane, yaw_quaternion
-from cluttergen_jax.physics import has_moved
+from cluttergen_jax.downstream.transforms import angle_between, matrix_of
+from cluttergen_jax.geometry import rotate_in_plane
 from cluttergen_jax.scene import Scene
 
 STAND_SIDE = 0.26
 """Metres; the square beside the table from which objects are picked up."""
-WATCHED = 2.0
-"""Seconds for which everything must stand once the hand has left."""
-WATCH_STEP = 0.1
-"""Seconds between two looks at it meanwhile."""
 _STAND_GAP = 0.01
 _STAND_HALF_HEIGHT = 0.01
 _STAND_BEFORE = 0.1
@@ -92,7 +89,7 @@ def _low_side(box: Box, yaw: float, center: np.ndarray) -> float:
     return float(rotate_in_plane(corners, -yaw)[:, 1].min())
 
 
-class Referee:
+class Referee(EpisodeReferee):
     """A simulated episode and its judge; besides an arm that is told the true state it alone reads that.
 
     Args:
@@ -100,12 +97,13 @@ class Referee:
       target: the number of the one that is to be moved.
       stands: more boxes that objects can stand on.
       trace, robot: see `Execution`.
-      execution: the simulation, if it is there already.
 
     Attributes:
       put: where the object was put, once it was.
       displaced: metres that another object was seen to have moved at most.
     """
+
+    execution: Execution
 
     def __init__(
         self,
@@ -114,65 +112,9 @@ class Referee:
         stands: tuple[Box, ...],
         trace: Trace | None = None,
         robot: RobotDescription | None = None,
-        execution: Execution | None = None,
     ) -> None:
         self.put: Put | None = None
-        self.scene = scene
-        self.target = target
-        self.execution = execution or Execution(scene, target, stands, trace, robot=robot)
-        self._others = [k for k in range(len(scene.names)) if k != target]
-        self.displaced = 0.0
-
-    def check_others(self) -> None:
-        """Compares the other objects with where they stood at the start.
-
-        Raises:
-          Failed: one has moved by more than `StabilityConfig` allows of neighbours.
-        """
-        if moved := self.moved_others():
-            raise Failed(Outcome.DISPLACED, self.scene.names[moved[0]])
-
-    def moved_others(self) -> list[int]:
-        """The numbers of the other objects that have moved too far; keeps how far one has at most."""
-        limits = StabilityConfig()
-        now = self.execution.poses()[self._others]
-        then = self.scene.poses[self._others]
-        shift, turn = motion_between(now, then)
-        self.displaced = max(self.displaced, float(shift.max(initial=0.0)))
-        is_far = (shift > limits.max_shift) | (turn > limits.max_turn)
-        return [number for number, far in zip(self._others, is_far, strict=True) if far]
-
-    def check_placed(self) -> None:
-        """The object stays where it was let go, in the region (Failed: it does not)."""
-        self.check_stands()
-        self.check_region()
-
-    def check_stands(self) -> None:
-        """Waits, and looks whether the object stays where it was let go.
-
-        Raises:
-          Failed: it moved by more than the last check of scenes allows, or another did.
-        """
-        limits = StabilityConfig()
-        start = self.execution.poses()[self.target]
-        for _ in range(round(WATCHED / WATCH_STEP)):
-            self.execution.wait(WATCH_STEP, Phase.FREE)
-            shift, turn = motion_between(self.execution.poses()[self.target], start)
-            if has_moved(shift, turn, limits):
-                raise Failed(Outcome.UNSTABLE, told_motion(float(shift), float(turn)))
-            self.check_others()
-
-    def check_region(self) -> None:
-        """The middle of the object's box lies in the region, as scenes are judged by default.
-
-        Raises:
-          Failed: it does not.
-        """
-        region = self.scene.support.region
-        pose = self.execution.pose(self.target)
-        place = rotate_in_plane(pose[:2, 3] - np.asarray(region.center), -region.yaw)
-        if (np.abs(place) > np.asarray(region.half_extents)).any():
-            raise Failed(Outcome.OUTSIDE, self.scene.names[self.target])
+        super().__init__(scene, target, Execution(scene, target, stands, trace, robot=robot))
 
     def errors(self, place: np.ndarray) -> tuple[float, float, float]:
         """Metres in plan, radians and metres in height of the object from a pose f64[4, 4]."""
@@ -291,13 +233,10 @@ def _place_by_sight(referee: Referee, arm: SensingArm, grasps: Grasps) -> None:
 def set_on_stand(scene: Scene, target: int, seed: int) -> tuple[Scene, Box]:
     """The scene with the target on a stand beside the table, somehow turned."""
     stand = stand_beside(scene.support)
-    asset = scene.objects[target]
     yaw = np.random.default_rng(seed).uniform(-np.pi, np.pi)
-    quaternion = product(
-        np.array(yaw_quaternion(yaw)), np.asarray(asset.resting[0].quaternion, np.float64)
-    )
+    resting = scene.objects[target].resting[0]
     poses = scene.poses.copy()
-    poses[target] = [*stand.center[:2], scene.support.top + asset.resting[0].height, *quaternion]
+    poses[target] = pose_on_stand(stand.center, scene.support.top, resting, yaw)
     return replace(scene, poses=poses), stand
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 
 import mujoco
 import numpy as np
 
 from cluttergen_jax.config import ContactConfig
+from cluttergen_jax.downstream.episodes.robot_parts import Gripper
 from cluttergen_jax.downstream.robot.description import (
     GripperTable,
     RobotDescription,
@@ -18,8 +18,6 @@ from cluttergen_jax.downstream.robot.model import hand_spec
 from cluttergen_jax.downstream.transforms import matrix_of, pose_of, rigid
 from cluttergen_jax.errors import ConfigError
 
-SPARE = 0.01
-"""Metres by which each finger is opened wider than the object, where the hand opens so far."""
 # Controls at which a gripper is looked at, and seconds that it has for each.
 _ROWS = 64
 _SETTLING = 0.25
@@ -33,97 +31,10 @@ _LEAST_STEP = 1e-4
 """Metres by which a row is narrower than the one before it."""
 _ALIKE = 5e-4
 """Metres from the tool's axis up to which the middle between two pads counts as on it."""
-_GAP = 0.003
-"""Metres that a pad which hardly moves keeps from an object as the hand comes to it."""
 _SEEN = 0.005
 """Metres between the pads from which on the direction between them is looked at."""
 _MOST_ASKEW = np.radians(30)
 _FAR = 1.0
-
-
-@dataclass(frozen=True, eq=False)
-class Gripper:
-    """A gripper's table, T rows from closed to open, of k joints.
-
-    Attributes:
-      opening: f64[T], metres that each pad is from the middle. control: f64[T]. joints: f64[T, k].
-      depth: f64[T], metres that the pads are before the tool's origin.
-      side: f64[T], metres that the middle between the pads is from the tool's axis, along the tool's y.
-      driven: which of the joints tell how far it is open. closed: the control that closes it.
-      T_hand_tool: f64[4, 4].
-    """
-
-    opening: np.ndarray
-    control: np.ndarray
-    joints: np.ndarray
-    depth: np.ndarray
-    side: np.ndarray
-    driven: np.ndarray
-    closed: float
-    T_hand_tool: np.ndarray
-
-    @property
-    def max_opening(self) -> float:
-        """Metres that each pad can be from the middle."""
-        return float(self.opening[-1])
-
-    def opening_of(self, width: np.ndarray | float) -> np.ndarray:
-        """Metres that each pad is from the middle before it closes on something of this width."""
-        return np.minimum(self.max_opening, np.asarray(width) / 2 + SPARE)
-
-    def control_of(self, opening: np.ndarray | float) -> np.ndarray:
-        """f64[...]: the actuator's control for metres of each pad from the middle."""
-        return np.interp(opening, self.opening, self.control)
-
-    def opening_at(self, control: np.ndarray | float) -> np.ndarray:
-        """f64[...]: metres of each pad from the middle that a control asks for; below 0 where it presses."""
-        order = np.argsort(self.control)
-        span = self.control[-1] - self.control[0]
-        pressed = (np.asarray(control) - self.control[0]) * np.sign(-span)
-        free = np.interp(control, self.control[order], self.opening[order])
-        return np.where(pressed > 0, -pressed * self.max_opening / abs(span), free)
-
-    def joints_of(self, opening: np.ndarray | float) -> np.ndarray:
-        """f64[..., k]: the joints' positions at metres of each pad from the middle."""
-        return np.stack([np.interp(opening, self.opening, each) for each in self.joints.T], axis=-1)
-
-    def depth_of(self, width: np.ndarray | float) -> np.ndarray:
-        """f64[...]: metres that the pads are before the tool's origin, so far apart."""
-        return np.interp(np.asarray(width) / 2, self.opening, self.depth)
-
-    def side_of(self, width: np.ndarray | float) -> np.ndarray:
-        """f64[...]: metres along the tool's y from its axis to the middle between the pads, so far apart."""
-        return np.interp(np.asarray(width) / 2, self.opening, self.side)
-
-    def shift_of(self, width: np.ndarray | float) -> np.ndarray:
-        """f64[...]: metres along the tool's y from its axis to the middle of what the hand comes to.
-
-        It is where the pads will meet it, but that a pad which hardly moves must not scrape along it.
-        """
-        width = np.asarray(width)
-        meet = self.side_of(width)
-        if self.is_even:
-            return meet
-        opening = self.opening_of(width)
-        spare = opening - width / 2
-        middle = self.side_of(2 * opening)
-        room = np.maximum(spare - _GAP, 0.0)
-        return np.clip(meet, middle - room, middle + room)
-
-    @property
-    def is_even(self) -> bool:
-        """Both pads move alike: half a turn about the approach makes no difference."""
-        return not self.side.any()
-
-    def measure(self, joints: np.ndarray) -> float:
-        """Metres that each pad is from the middle at joints f64[k]."""
-        drive = self.joints[:, self.driven].mean(1)
-        order = np.argsort(drive)
-        return float(np.interp(joints[self.driven].mean(), drive[order], self.opening[order]))
-
-    def is_closing(self, control: float) -> bool:
-        """Whether a control closes the gripper on whatever is between its pads."""
-        return bool((control - self.control[0]) * (self.closed - self.control[0]) > 0)
 
 
 @cache

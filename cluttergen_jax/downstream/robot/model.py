@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Self
 
 import mujoco
@@ -11,6 +10,7 @@ import numpy as np
 
 from cluttergen_jax.assets import VISUAL_GROUP, Box, SupportAsset
 from cluttergen_jax.config import ContactConfig
+from cluttergen_jax.downstream.episodes.robot_parts import PartNames, RobotParts
 from cluttergen_jax.downstream.robot.description import (
     GripperDescription,
     RobotDescription,
@@ -353,82 +353,27 @@ def add_pedestals(spec: mujoco.MjSpec, base: np.ndarray, stands: Sequence[Box] =
         add_pedestal(spec, low, box.yaw, min(box.half_extents[:2]))
 
 
-@dataclass(frozen=True, eq=False)
-class Robot:
-    """Where a robot of n joints is found in a compiled model.
-
-    Attributes:
-      qpos: i[n], of the arm's joints in `qpos`; fingers: i[k], of the hand's joints that are not the arm's,
-        in the order of the gripper's model.
-      dofs: i[n], of the arm's joints in `qvel`; finger_dofs: i[k].
-      ctrl: i[n], of the arm's actuators; grip: of the gripper's.
-      lag: f64[n], seconds by which each servo's damping lets its joint trail behind a moving set-point.
-      low, high: f64[n], the joints' limits, radians.
-      site: of the tool. hand: its body; is_hand, is_arm: bool[nbody], the bodies that move with it, and those
-        of the whole robot.
-    """
-
-    qpos: np.ndarray
-    fingers: np.ndarray
-    dofs: np.ndarray
-    finger_dofs: np.ndarray
-    ctrl: np.ndarray
-    grip: int
-    lag: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    site: int
-    hand: int
-    is_hand: np.ndarray
-    is_arm: np.ndarray
+class Robot(RobotParts):
+    """Where a robot of n joints is found in a compiled model (`RobotParts`)."""
 
     @classmethod
     def of(
         cls, model: mujoco.MjModel, robot: RobotDescription | None = None, prefix: str | None = None
     ) -> Self:
         """The robot of a model, the Panda if not given; prefix: before its names, its own if not given."""
-        robot = robot or find_robot()
-        prefix = robot.prefix if prefix is None else prefix
-        arm = [model.joint(prefix + name).id for name in robot.arm.joints]
-        ctrl = np.array([model.actuator(prefix + name).id for name in robot.arm.actuators])
-        hand = model.body(prefix + robot.of_gripper(robot.gripper.body)).id
-        is_hand = bodies_of_tree(model, hand)
-        root = int(model.body_rootid[hand])
-        fingers = [
-            joint
-            for joint in range(model.njnt)
-            if is_hand[model.jnt_bodyid[joint]] and joint not in arm
-        ]
-        return cls(
-            qpos=model.jnt_qposadr[arm],
-            fingers=model.jnt_qposadr[fingers],
-            dofs=model.jnt_dofadr[arm],
-            finger_dofs=model.jnt_dofadr[fingers],
-            ctrl=ctrl,
-            grip=model.actuator(prefix + robot.of_gripper(robot.gripper.actuator)).id,
-            lag=model.actuator_biasprm[ctrl, 2] / model.actuator_biasprm[ctrl, 1],
-            low=model.jnt_range[arm, 0],
-            high=model.jnt_range[arm, 1],
-            site=model.site(prefix + robot.of_gripper(TOOL)).id,
-            hand=hand,
-            is_hand=is_hand,
-            is_arm=bodies_of_tree(model, root),
-        )
-
-    def tool(self, data: mujoco.MjData) -> np.ndarray:
-        """f64[4, 4]: T_world_tool, after the kinematics."""
-        pose = np.eye(4)
-        pose[:3, :3] = data.site_xmat[self.site].reshape(3, 3)
-        pose[:3, 3] = data.site_xpos[self.site]
-        return pose
+        return cls.found(model, part_names(robot or find_robot(), prefix))
 
 
-def bodies_of_tree(model: mujoco.MjModel, root: int) -> np.ndarray:
-    """bool[nbody]: the body and all that hang on it."""
-    is_below = np.zeros(model.nbody, bool)
-    for body in range(1, model.nbody):
-        is_below[body] = body == root or is_below[model.body_parentid[body]]
-    return is_below
+def part_names(robot: RobotDescription, prefix: str | None = None) -> PartNames:
+    """What a robot's parts are called; prefix: before its names, its own if not given."""
+    before = robot.prefix if prefix is None else prefix
+    return PartNames(
+        joints=tuple(before + name for name in robot.arm.joints),
+        actuators=tuple(before + name for name in robot.arm.actuators),
+        hand=before + robot.of_gripper(robot.gripper.body),
+        grip=before + robot.of_gripper(robot.gripper.actuator),
+        tool=before + robot.of_gripper(TOOL),
+    )
 
 
 def remove_drawings(spec: mujoco.MjSpec) -> None:

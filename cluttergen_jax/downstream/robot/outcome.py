@@ -2,46 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Protocol
 
+from cluttergen_jax.downstream.episodes.outcome import Failed, Outcome
 from cluttergen_jax.errors import BankError
 from cluttergen_jax.statistics import share_of
-
-
-class Outcome(StrEnum):
-    """The end of an episode; all but the first are failures, in the order in which they can come.
-
-    NO_GRASP: no grasp of the object is free of contact. NO_IK: the arm does not reach it. NO_PATH: there was
-    no way to it or with it. NO_PLACE: no place was proposed in the region, or none for which the hand has
-    room. CONTACT: the arm or what it held touched what it should not, by more than 2 N. SLIP: the object was
-    lost, or slipped in the hand. DISPLACED: another object moved. UNSTABLE: something did not stay. OUTSIDE:
-    the object does not stand where it should.
-    """
-
-    SUCCESS = "success"
-    NO_GRASP = "no grasp"
-    NO_IK = "no ik"
-    NO_PATH = "no path"
-    NO_PLACE = "no place"
-    CONTACT = "contact"
-    SLIP = "slip"
-    DISPLACED = "displaced"
-    UNSTABLE = "unstable"
-    OUTSIDE = "outside"
-
-
-class Failed(Exception):
-    """An episode ends; outcome: how, an `Outcome` or another text of its kind. detail: of what, in words."""
-
-    def __init__(self, outcome: StrEnum, detail: str = "") -> None:
-        super().__init__(f"{outcome}: {detail}" if detail else str(outcome))
-        self.outcome = outcome
-        self.detail = detail
 
 
 @dataclass(frozen=True)
@@ -77,11 +45,6 @@ def run_to_end(run: Callable[[], None]) -> tuple[str, str]:
     except Failed as failure:
         return str(failure.outcome), failure.detail
     return str(Outcome.SUCCESS), ""
-
-
-def told_motion(shift: float, turn: float) -> str:
-    """Metres and radians in words."""
-    return f"{1e3 * shift:.0f} mm, {math.degrees(turn):.0f} deg"
 
 
 def ending_of(row: EpisodeRow) -> str:

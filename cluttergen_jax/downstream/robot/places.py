@@ -31,12 +31,13 @@ from cluttergen_jax.downstream.robot.motion.collision import (
 )
 from cluttergen_jax.downstream.transforms import matrix_of
 from cluttergen_jax.generation import setup_of
+from cluttergen_jax.geometry import Array
 from cluttergen_jax.numerics import new_key
 from cluttergen_jax.own_parts import is_own
+from cluttergen_jax.physics import Verdict
 from cluttergen_jax.placement import Candidates, Rules, lower_onto
 from cluttergen_jax.scene import Bank, Scene
 from cluttergen_jax.sensing import Camera, merge_maps
-from cluttergen_jax.types import Array, Verdict
 
 
 class SearchPlaces:

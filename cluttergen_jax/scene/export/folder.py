@@ -12,6 +12,7 @@ A bank with a script for a program that pins another MuJoCo or JAX: it reads the
 README.txt MANIFEST.json    how to use it; which scenes
 LICENSES.txt                the terms of what is in it
 SCRIPT bank_reader.py       to be imported from here; they need nothing of cluttergen_jax
+cluttergen_env/ environment/    of `lerobot`: the environment of a robot, and the robot
 bank/                       bank.json, scenes-*.parquet, assets, README.md with the terms
 """
 
@@ -25,6 +26,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -36,6 +38,7 @@ from cluttergen_jax.assets.support_file import support_hash
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import folder_whole, inside
 from cluttergen_jax.kept_folder import lock_beside
+from cluttergen_jax.robot_environments import write_environment
 from cluttergen_jax.scene import Scene, scene_cameras
 from cluttergen_jax.scene.collection import check_alike
 from cluttergen_jax.scene.export.formats import FORMATS, Format, find_format, own_record
@@ -292,11 +295,13 @@ class BankFormat:
       name: as on the command line.
       opens_in: who reads it, and how, in a sentence.
       script: in `export/scripts`.
+      has_robot: the environment of a robot goes with it.
     """
 
     name: str
     opens_in: str
     script: str
+    has_robot: bool = False
 
 
 _ALL = (
@@ -314,9 +319,11 @@ _ALL = (
     ),
     BankFormat(
         "lerobot",
-        "LeRobot 0.6: push the folder to a hub as a model repository, then lerobot.envs.make_env("
-        "'OWNER/NAME', n_envs=4, trust_remote_code=True); or import its env.py and call make_env.",
+        "LeRobot: push the folder to a hub as a model repository, then lerobot.envs.make_env("
+        "'OWNER/NAME', n_envs=4, trust_remote_code=True). Without it: import env, then "
+        "env.single('grasp') or gymnasium.make('cluttergen/Grasp-v1').",
         "env.py",
+        has_robot=True,
     ),
 )
 BANK_FORMATS = {each.name: each for each in _ALL}
@@ -331,18 +338,21 @@ def export_bank(
     out: str | Path,
     format: str,
     overwrite: bool,
+    robot: Any = None,
 ) -> Path:
     """Writes a bank with the script of a format of `BANK_FORMATS`, whole or not at all.
 
     Args:
       support, objects: that are in it. indices: of its scenes that succeeded.
       overwrite: replace an earlier export.
+      robot: whose environment goes with it, where the format has one (`BankFormat.has_robot`).
 
     Returns:
       The folder.
 
     Raises:
-      ConfigError: `out` exists. BankError: another export is being written there.
+      ConfigError: `out` exists, or there is no such robot. BankError: another export is being written there.
+      MissingExtraError: an extra that the robot needs is not installed.
     """
     kind = BANK_FORMATS[format]
     out = Path(out)
@@ -353,6 +363,9 @@ def export_bank(
             for path in bank.glob(pattern):
                 copy = shutil.copytree if path.is_dir() else shutil.copy2
                 copy(path, fresh / "bank" / path.name)
+        terms = licences_text(support, objects, kind.script)
+        if kind.has_robot:
+            terms += f"{write_environment(fresh, robot)}\n"
         record = {
             "format": 1,
             "kind": "cluttergen export",
@@ -365,7 +378,7 @@ def export_bank(
         files = {
             _READER: (package / _READER).read_text(encoding="utf-8"),
             kind.script: (scripts / kind.script).read_text(encoding="utf-8"),
-            LICENCES: licences_text(support, objects, kind.script),
+            LICENCES: terms,
             MANIFEST: json.dumps(record) + "\n",
             "README.txt": f"{about}\n\nOpen with {kind.opens_in}\n",
         }

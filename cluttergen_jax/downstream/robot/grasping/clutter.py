@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from cluttergen_jax.assets import VISUAL_GROUP, ObjectAsset, object_hash, populated_spec
+from cluttergen_jax.downstream.episodes.robot_parts import bodies_of_tree
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.grasping.candidates import (
     BACK,
@@ -25,7 +26,6 @@ from cluttergen_jax.downstream.robot.grasping.candidates import (
 from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.robot.model import (
     IMPRATIO,
-    bodies_of_tree,
     copy_options,
     hand_spec,
     remove_drawings,

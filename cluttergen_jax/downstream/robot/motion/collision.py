@@ -18,6 +18,7 @@ from cluttergen_jax.assets import (
     populated_spec,
 )
 from cluttergen_jax.config import ContactConfig, StabilityConfig
+from cluttergen_jax.downstream.episodes.simulation import Kind, kinds_of
 from cluttergen_jax.downstream.robot.description import RobotDescription
 from cluttergen_jax.downstream.robot.gripper import gripper_of
 from cluttergen_jax.downstream.robot.model import Robot, arm_spec, attach_robot, remove_drawings
@@ -124,19 +125,6 @@ _BLUR = -0.005
 _AWAY = 100.0
 _HELD = "held"
 _GROUND = "ground"
-
-
-class Kind(IntEnum):
-    """What a geom belongs to; the last two are columns (`columns.OccupancyBoxes`)."""
-
-    GROUND = 0
-    OTHER = 1
-    TARGET = 2
-    ARM = 3
-    HAND = 4
-    HELD = 5
-    SEEN = 6
-    HIDDEN = 7
 
 
 _COLUMN_KINDS = (Kind.SEEN, Kind.HIDDEN)
@@ -347,16 +335,6 @@ class PlanningWorld:
             self.model.body(self.model.geom_bodyid[geom]).name for geom in geoms[too_close.argmax()]
         )
         return a, b
-
-
-def kinds_of(arm: Robot, bodies: Sequence[int], target: int) -> np.ndarray:
-    """i[nbody]: the kind of each body; bodies: of the objects; target: of the one that is moved."""
-    kind = np.full(len(arm.is_arm), Kind.GROUND)
-    kind[bodies] = Kind.OTHER
-    kind[target] = Kind.TARGET
-    kind[arm.is_arm] = Kind.ARM
-    kind[arm.is_hand] = Kind.HAND
-    return kind
 
 
 def add_stand(spec: mujoco.MjSpec, box: Box, name: str) -> None:

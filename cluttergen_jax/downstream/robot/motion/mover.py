@@ -7,13 +7,14 @@ from itertools import chain, count, product
 
 import numpy as np
 
+from cluttergen_jax.downstream.episodes.outcome import Failed, Outcome, told_motion
+from cluttergen_jax.downstream.episodes.progress import LIFT
 from cluttergen_jax.downstream.robot.grasping.grasps import Grasps
 from cluttergen_jax.downstream.robot.grasping.grips import Grip, rank_grasps
 from cluttergen_jax.downstream.robot.motion.collision import ROOM, ROOMS, Mode, PlanningWorld
 from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
 from cluttergen_jax.downstream.robot.motion.ik import LINE_STEP, ArmKinematics
 from cluttergen_jax.downstream.robot.motion.plan import PickPlan, PlacePlan, Planner
-from cluttergen_jax.downstream.robot.outcome import Failed, Outcome, told_motion
 from cluttergen_jax.downstream.robot.protocols import PathPlanner
 from cluttergen_jax.downstream.transforms import (
     angle_between,
@@ -30,8 +31,6 @@ from cluttergen_jax.downstream.transforms import (
 _APPROACH = (0.10, 0.06)
 _LEAVE = (0.10, 0.06, 0.03)
 
-LIFT = 0.12
-"""Metres that an object is lifted, and lowered from."""
 RELEASE = 0.001
 """Metres over where it shall stand at which an object is let go."""
 TOUCH = 0.01

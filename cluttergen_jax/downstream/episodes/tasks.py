@@ -6,32 +6,31 @@ episode runs in the model of a world: set-points of servos go in, and what the a
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
-import mujoco
 import numpy as np
 
-from cluttergen_jax.assets import Box, SupportAsset, turn_symmetry
-from cluttergen_jax.downstream.environments.world import RobotWorld
-from cluttergen_jax.downstream.rearrange.judge import RearrangementJudge
-from cluttergen_jax.downstream.robot.episode import Referee, set_on_stand, stand_beside
-from cluttergen_jax.downstream.robot.motion.collision import Kind
-from cluttergen_jax.downstream.robot.motion.execute import Execution, Phase
-from cluttergen_jax.downstream.robot.motion.mover import LIFT
-from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
-from cluttergen_jax.downstream.transforms import inverse, matrix_of
+from cluttergen_jax.downstream.episodes.layout_judge import RearrangementJudge
+from cluttergen_jax.downstream.episodes.outcome import Failed, Outcome
+from cluttergen_jax.downstream.episodes.progress import (
+    LIFTED,
+    grasp_progress,
+    place_progress,
+    rearrange_progress,
+)
+from cluttergen_jax.downstream.episodes.referee import EpisodeReferee, pose_on_stand
+from cluttergen_jax.downstream.episodes.simulation import Kind, Phase, Simulation
+from cluttergen_jax.downstream.episodes.starts import EpisodeStart
+from cluttergen_jax.downstream.episodes.world import BankRows, SimulatedWorld
+from cluttergen_jax.downstream.transforms import inverse, matrix_of, motion_between
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.generation import BankArrays, WorldState
 from cluttergen_jax.geometry import rotate_in_plane, rotation_matrix
-from cluttergen_jax.scene import Scene
 
 
-class WorldExecution(Execution):
-    """An `Execution` in a model that is compiled already.
+class WorldExecution(Simulation):
+    """A `Simulation` in the model of a world.
 
     Args:
       world: the model. state: its beginning.
@@ -39,17 +38,11 @@ class WorldExecution(Execution):
       target: the number of the object in it that the hand may touch at first.
     """
 
-    def __init__(self, world: RobotWorld, state: WorldState, scene: Scene, target: int) -> None:
-        self._world = world
-        self._state = state
-        super().__init__(scene, target, robot=world.description)
-
-    def _compile(self, scene: Scene, stands: Sequence[Box]) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-        return self._world.spec, self._world.model
-
-    def _start(self, scene: Scene) -> None:
-        self._world.put(self.data, self._state)
-        super()._start(scene)
+    def __init__(self, world: SimulatedWorld, state: Any, scene: Any, target: int) -> None:
+        super().__init__(world.model, world.robot, world.gripper, scene.names, target)
+        self.world = world
+        world.put(self.data, state)
+        self.put_home(scene.names, scene.poses, world.home)
 
     def advance(self, ctrl: np.ndarray, num_steps: int) -> None:
         """Brings the set-points evenly to f64[nu] in so many steps.
@@ -57,7 +50,7 @@ class WorldExecution(Execution):
         The hand may touch the target, and that may touch anything.
 
         Raises:
-          Failed: another contact of the arm pressed harder than `execute.MAX_FORCE`.
+          Failed: another contact of the arm pressed harder than `MAX_FORCE`.
         """
         start = self.data.ctrl.copy()
         for step in range(1, num_steps + 1):
@@ -73,36 +66,11 @@ class WorldExecution(Execution):
         is_arm = np.isin(kinds, (Kind.ARM, Kind.HAND)).any(1)
         return bool((is_arm & (kinds == Kind.TARGET).any(1)).any())
 
-    def fork(self, num_steps: int) -> RecordedExecution:
-        """A copy that goes on from here by itself; its set-points are kept every so many steps."""
-        forked = copy.copy(self)
-        forked.__class__ = RecordedExecution
-        assert isinstance(forked, RecordedExecution)
-        forked.data = copy.copy(self.data)
-        forked.num_steps = 0
-        forked.every = num_steps
-        forked.commands = []
-        return forked
-
-
-class RecordedExecution(WorldExecution):
-    """See `WorldExecution.fork`. every: steps; commands: f64[nu] each, the set-points every so many steps."""
-
-    every: int
-    commands: list[np.ndarray]
-
-    def _step(self, phase: Phase) -> None:
-        super()._step(phase)
-        if self.num_steps % self.every == 0:
-            self.commands.append(self.data.ctrl.copy())
-
 
 LEFT = 0.025
 """Metres from where it last touched an object from which on the open hand has left it."""
 FALLEN = 0.1
 """Metres below the support's top."""
-LIFTED = 0.8 * LIFT
-"""Metres by which an object that counts as grasped was lifted at least."""
 _UPRIGHT = np.cos(np.radians(3.0))
 
 
@@ -112,27 +80,29 @@ class Judge(Protocol):
     def check(self) -> bool:
         """Whether it has just ended in success. Raises Failed: in failure."""
 
+    @property
+    def progress(self) -> float:
+        """0 to 1: how far an episode has come that goes on (`progress`)."""
+
 
 class Task(Protocol):
     """What is to be done.
 
     Attributes:
       name: of it. seconds: that an episode may take, if nothing else is said; for each object.
-      has_goals: objects are to come to poses.
+      has_goals: objects are to come to poses. has_stand: the object stands beside the support at first.
     """
 
     name: str
     seconds: float
     has_goals: bool
+    has_stand: bool
 
-    def stands(self, support: SupportAsset) -> tuple[Box, ...]:
-        """Boxes that it needs beside the support."""
-
-    def places(self, bank: BankArrays) -> np.ndarray:
+    def places(self, bank: BankRows) -> np.ndarray:
         """i[M]: the scenes that it can be done in, by their place in the bank. Raises ConfigError: none."""
 
     def begin(
-        self, scene: Scene, bank: BankArrays, place: int, rng: np.random.Generator
+        self, scene: Any, world: SimulatedWorld, place: int, rng: np.random.Generator
     ) -> EpisodeStart:
         """An episode in the scene at this place."""
 
@@ -143,28 +113,15 @@ class Task(Protocol):
         """The task in words; labels: what people call the objects, the first one first."""
 
 
-@dataclass(frozen=True, eq=False)
-class EpisodeStart:
-    """How an episode begins.
-
-    Attributes:
-      scene: objects where they stand. target: the number of the one that is to be moved (first).
-      goals: f64[N, 7], T_world_object where they shall go; of the target alone one that is known to do.
-    """
-
-    scene: Scene
-    target: int
-    goals: np.ndarray
-
-
 class _OneObject:
     """What tasks of one object have in common: it is the last of a scene, on which nothing lies."""
 
     has_goals = False
+    has_stand = False
 
-    def places(self, bank: BankArrays) -> np.ndarray:
+    def places(self, bank: BankRows) -> np.ndarray:
         """All scenes."""
-        return np.arange(len(bank))
+        return np.arange(len(bank.index))
 
 
 class GraspTask(_OneObject):
@@ -173,12 +130,8 @@ class GraspTask(_OneObject):
     name = "grasp"
     seconds = 15.0
 
-    def stands(self, support: SupportAsset) -> tuple[Box, ...]:
-        """None."""
-        return ()
-
     def begin(
-        self, scene: Scene, bank: BankArrays, place: int, rng: np.random.Generator
+        self, scene: Any, world: SimulatedWorld, place: int, rng: np.random.Generator
     ) -> EpisodeStart:
         """The scene as it is."""
         return EpisodeStart(scene, len(scene.names) - 1, scene.poses.copy())
@@ -197,16 +150,13 @@ class PlaceTask(_OneObject):
 
     name = "place"
     seconds = 40.0
+    has_stand = True
 
-    def stands(self, support: SupportAsset) -> tuple[Box, ...]:
-        """The one that the object stands on."""
-        return (stand_beside(support),)
-
-    def places(self, bank: BankArrays) -> np.ndarray:
+    def places(self, bank: BankRows) -> np.ndarray:
         """The scenes whose last object stands upright."""
         index = np.asarray(bank.object_index)
         last = (index >= 0).sum(1) - 1
-        quaternions = np.asarray(bank.poses)[np.arange(len(bank)), last, 3:]
+        quaternions = np.asarray(bank.poses)[np.arange(len(bank.index)), last, 3:]
         found = np.flatnonzero([rotation_matrix(each)[2, 2] > _UPRIGHT for each in quaternions])
         if not len(found):
             raise ConfigError(
@@ -217,12 +167,16 @@ class PlaceTask(_OneObject):
         return found
 
     def begin(
-        self, scene: Scene, bank: BankArrays, place: int, rng: np.random.Generator
+        self, scene: Any, world: SimulatedWorld, place: int, rng: np.random.Generator
     ) -> EpisodeStart:
         """The last object on the stand, somehow turned."""
         target = len(scene.names) - 1
-        moved, _ = set_on_stand(scene, target, int(rng.integers(2**31)))
-        return EpisodeStart(moved, target, scene.poses.copy())
+        # A generator of its own, as recordings of earlier versions have it.
+        yaw = np.random.default_rng(int(rng.integers(2**31))).uniform(-np.pi, np.pi)
+        resting = scene.objects[target].resting[0]
+        poses = scene.poses.copy()
+        poses[target] = pose_on_stand(world.stand.center, scene.support.top, resting, yaw)
+        return EpisodeStart(replace(scene, poses=poses), target, scene.poses.copy())
 
     def judge(self, start: EpisodeStart, execution: WorldExecution) -> Judge:
         """Of `robot place`."""
@@ -239,12 +193,9 @@ class RearrangeTask:
     name = "rearrange"
     seconds = 25.0
     has_goals = True
+    has_stand = False
 
-    def stands(self, support: SupportAsset) -> tuple[Box, ...]:
-        """None."""
-        return ()
-
-    def places(self, bank: BankArrays) -> np.ndarray:
+    def places(self, bank: BankRows) -> np.ndarray:
         """The scenes that another one has the objects of."""
         _, kind, number = np.unique(_sets(bank), axis=0, return_inverse=True, return_counts=True)
         found = np.flatnonzero(number[kind.ravel()] > 1)
@@ -257,9 +208,10 @@ class RearrangeTask:
         return found
 
     def begin(
-        self, scene: Scene, bank: BankArrays, place: int, rng: np.random.Generator
+        self, scene: Any, world: SimulatedWorld, place: int, rng: np.random.Generator
     ) -> EpisodeStart:
         """The scene as it is, and another one for its goals."""
+        bank = world.bank
         sets = _sets(bank)
         others = np.flatnonzero((sets == sets[place]).all(1))
         other = int(rng.choice(others[others != place]))
@@ -284,7 +236,7 @@ class RearrangeTask:
 TASKS: dict[str, Task] = {each.name: each for each in (PlaceTask(), RearrangeTask(), GraspTask())}
 
 
-def _sets(bank: BankArrays) -> np.ndarray:
+def _sets(bank: BankRows) -> np.ndarray:
     """i[S, N]: the objects of each scene, sorted."""
     return np.sort(np.asarray(bank.object_index), axis=1)
 
@@ -316,7 +268,18 @@ class _HandWatch:
         self._touched = None
 
 
-def _check_fallen(execution: WorldExecution, scene: Scene) -> None:
+def _displaced(execution: WorldExecution, start: EpisodeStart) -> float:
+    """Metres that another object is from where it stood, at most."""
+    shift, _ = motion_between(execution.poses(), start.scene.poses)
+    return float(np.delete(shift, start.target).max(initial=0.0))
+
+
+def _distance(execution: WorldExecution, number: int) -> float:
+    """Metres of the tool from an object's origin."""
+    return float(np.linalg.norm(execution.pose(number)[:3, 3] - execution.tool[:3, 3]))
+
+
+def _check_fallen(execution: WorldExecution, scene: Any) -> None:
     low = execution.poses()[:, 2] < scene.support.lowest - FALLEN
     if low.any():
         raise Failed(Outcome.OUTSIDE, f"{scene.names[int(low.argmax())]} fell")
@@ -328,8 +291,8 @@ class _GraspJudge:
     execution: WorldExecution
 
     @cached_property
-    def _referee(self) -> Referee:
-        return Referee(self.start.scene, self.start.target, (), execution=self.execution)
+    def _referee(self) -> EpisodeReferee:
+        return EpisodeReferee(self.start.scene, self.start.target, self.execution)
 
     def check(self) -> bool:
         scene = self.start.scene
@@ -341,14 +304,23 @@ class _GraspJudge:
         self._referee.check_others()
         return True
 
+    @property
+    def progress(self) -> float:
+        run = self.execution
+        target = self.start.target
+        height = run.pose(target)[2, 3] - self.start.scene.poses[target, 2]
+        known = (_distance(run, target), _displaced(run, self.start), run.is_touching, height)
+        return float(grasp_progress(np, *known))
+
 
 class _PlaceJudge:
     def __init__(self, start: EpisodeStart, execution: WorldExecution) -> None:
+        self._start = start
         self._execution = execution
         self._scene = start.scene
         self._target = start.target
-        self._referee = Referee(start.scene, start.target, (), execution=execution)
-        self._stand = stand_beside(start.scene.support)
+        self._referee = EpisodeReferee(start.scene, start.target, execution)
+        self._stand = execution.world.stand
         self._hand = _HandWatch(execution)
 
     def check(self) -> bool:
@@ -360,6 +332,16 @@ class _PlaceJudge:
         self._referee.check_region()
         return True
 
+    @property
+    def progress(self) -> float:
+        run = self._execution
+        region = self._scene.support.region
+        place = run.pose(self._target)[:2, 3] - np.asarray(region.center)
+        side = np.abs(rotate_in_plane(place, -region.yaw)) - np.asarray(region.half_extents)
+        away = float(np.linalg.norm(np.maximum(side, 0.0)))
+        known = (_distance(run, self._target), _displaced(run, self._start), run.is_touching, away)
+        return float(place_progress(np, *known, False))
+
     def _is_on_stand(self) -> bool:
         place = self._execution.pose(self._target)[:2, 3] - np.asarray(self._stand.center[:2])
         side = np.abs(rotate_in_plane(place, -self._stand.yaw))
@@ -370,7 +352,7 @@ class _LayoutJudge:
     def __init__(self, start: EpisodeStart, execution: WorldExecution) -> None:
         self._execution = execution
         self._start = start
-        symmetry = [turn_symmetry(asset) for asset in start.scene.objects]
+        symmetry = execution.world.symmetries(start.scene)
         self._judge = RearrangementJudge(execution, start.scene, len(symmetry), symmetry)
         self._hand = _HandWatch(execution)
         self._target = start.target
@@ -390,6 +372,15 @@ class _LayoutJudge:
             return False
         self._judge.check_end(self._start.goals)
         return True
+
+    @property
+    def progress(self) -> float:
+        run = self._execution
+        goals = self._start.goals
+        right = self._judge.is_right(goals)
+        away = [_distance(run, number) for number in np.flatnonzero(~right)]
+        errors = self._judge.errors(goals)[:, 0]
+        return float(rearrange_progress(np, min(away, default=np.inf), run.is_touching, errors))
 
     def _aim(self) -> None:
         """The hand may touch the object whose box is nearest to it, none other."""

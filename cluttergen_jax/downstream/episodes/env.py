@@ -2,110 +2,25 @@
 
 from __future__ import annotations
 
-import atexit
-import weakref
 from collections.abc import Mapping, Sequence
 from functools import partial
 from numbers import Integral, Real
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import gymnasium
 import mujoco
 import numpy as np
 from gymnasium import spaces
 
-from cluttergen_jax.assets import VISUAL_GROUP
-from cluttergen_jax.downstream.environments.recordings import Recording, SavedStart
-from cluttergen_jax.downstream.environments.tasks import EpisodeStart, Task, WorldExecution
-from cluttergen_jax.downstream.environments.world import (
-    GripShare,
-    RobotWorld,
-    move_tool,
-    numbers_of,
-)
-from cluttergen_jax.downstream.robot.motion.ik import ArmKinematics
-from cluttergen_jax.downstream.robot.outcome import Failed, Outcome
+from cluttergen_jax.downstream.episodes.outcome import Failed, Outcome
+from cluttergen_jax.downstream.episodes.pictures import Pictures, check_cameras
+from cluttergen_jax.downstream.episodes.robot_parts import GripShare
+from cluttergen_jax.downstream.episodes.starts import EpisodeStart, SavedStart
+from cluttergen_jax.downstream.episodes.tasks import Task, WorldExecution
+from cluttergen_jax.downstream.episodes.world import SimulatedWorld, numbers_of
 from cluttergen_jax.downstream.transforms import pose_of
-from cluttergen_jax.downstream.words import check_choice
-from cluttergen_jax.errors import ConfigError, closest, range_text
-from cluttergen_jax.generation import WorldState, required_recipe
-from cluttergen_jax.rendering import new_context
-
-
-def check_cameras(model: mujoco.MjModel, names: tuple[str, ...], prefix: str) -> None:
-    """Refuses cameras that the model has not, with or without the robot's prefix (ConfigError)."""
-    known = [model.camera(number).name for number in range(model.ncam)]
-    for name in names:
-        if name not in known and prefix + name not in known:
-            short = [each.removeprefix(prefix) for each in known]
-            raise ConfigError(f"camera {name!r}", ", ".join(short), meant=closest(name, short))
-
-
-class Pictures:
-    """Draws a model with a GL context of its own; nothing is opened before the first picture.
-
-    Args:
-      model: whose cameras; prefix: of those of the robot.
-      height, width: pixels.
-    """
-
-    def __init__(self, model: mujoco.MjModel, height: int, width: int, prefix: str) -> None:
-        self._model = model
-        self._prefix = prefix
-        self._rect = mujoco.MjrRect(0, 0, width, height)
-        shown = model.vis.global_
-        shown.offwidth = max(shown.offwidth, width)
-        shown.offheight = max(shown.offheight, height)
-        self._gl: Any = None
-
-    def _open(self) -> None:
-        self._gl = new_context(self._rect.width, self._rect.height)
-        # Registered after the library's own end, so it comes before that.
-        atexit.register(_close, weakref.ref(self))
-        self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
-        self._scene = mujoco.MjvScene(self._model, maxgeom=self._model.ngeom + 100)
-        self._option = mujoco.MjvOption()
-        self._option.geomgroup[:] = 0
-        self._option.geomgroup[VISUAL_GROUP] = 1
-
-    def draw(self, data: mujoco.MjData, name: str) -> np.ndarray:
-        """u8[height, width, 3]: what the camera of this name sees.
-
-        Raises:
-          RendererError: nothing here can draw.
-        """
-        if self._gl is None:
-            self._open()
-        self._gl.make_current()
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
-        camera = mujoco.MjvCamera()
-        camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
-        number = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_CAMERA, name)
-        camera.fixedcamid = number if number >= 0 else self._model.camera(self._prefix + name).id
-        # Cameras on links, too, are where the joints say now.
-        mujoco.mj_camlight(self._model, data)
-        everything = mujoco.mjtCatBit.mjCAT_ALL.value
-        mujoco.mjv_updateScene(
-            self._model, data, self._option, None, camera, everything, self._scene
-        )
-        pixels = np.empty((self._rect.height, self._rect.width, 3), np.uint8)
-        mujoco.mjr_render(self._rect, self._scene, self._context)
-        mujoco.mjr_readPixels(pixels, None, self._rect, self._context)
-        return np.flipud(pixels).copy()
-
-    def close(self) -> None:
-        """Gives the context back; the next picture opens another."""
-        if self._gl is not None:
-            self._gl.make_current()
-            self._context.free()
-            self._gl.free()
-            self._gl = None
-
-
-def _close(pictures: weakref.ref[Pictures]) -> None:
-    if (there := pictures()) is not None:
-        there.close()
-
+from cluttergen_jax.downstream.words import RenderMode, RobotReward, check_choice
+from cluttergen_jax.errors import ConfigError, range_text
 
 RobotAction = Literal["joint", "joint_delta", "tool"]
 TIME_LIMIT = "time limit"
@@ -153,10 +68,12 @@ class RobotEnv(gymnasium.Env):
     - `joint_delta` [n + 1]: changes of their set-points, as shares of what the robot's speed limits allow.
     - `tool` [7]: how the tool moves (0.5 m/s) and turns (2 rad/s, rotation vector), in world axes.
 
-    Rewards are 1 at success, else 0. `info` has `is_success`, `outcome` ("" before the end, then an
-    `Outcome`, one of rearrangement's, or "time limit"), `detail`, `scene` and `target`; and of the episode so
-    far, `num_outside`: numbers of actions beyond -1 to 1, which were taken as -1 or 1; `num_limited`: numbers
-    that asked for more than the speed limits allow in a step, which were followed as far as these.
+    Rewards are 1 at success, else 0; dense ones are more by the change of progress. `info` has `is_success`,
+    `outcome` ("" before the end, then an `Outcome`, one of rearrangement's, or "time limit"), `detail`,
+    `scene` and `target`; `progress`, 0 to 1, how far the episode has come; and of the episode so far,
+    `num_outside`: numbers of actions beyond -1 to 1, which were taken as -1 or 1;
+    `num_limited`: numbers that asked for more than the speed limits allow in a step, which were followed as
+    far as these.
 
     Attributes:
       world: the model and its resets. task: what is to be done. start: how this episode began.
@@ -169,7 +86,7 @@ class RobotEnv(gymnasium.Env):
 
     def __init__(
         self,
-        world: RobotWorld,
+        world: SimulatedWorld,
         task: Task,
         action: RobotAction,
         cameras: tuple[str, ...],
@@ -177,21 +94,25 @@ class RobotEnv(gymnasium.Env):
         control_hz: float,
         max_seconds: float | None,
         recipe: partial[RobotEnv] | None = None,
-        recording: Recording | None = None,
+        recording: Any = None,
         draws_scenes: bool = True,
+        reward: RobotReward = "sparse",
+        render_mode: RenderMode | None = "rgb_array",
     ) -> None:
-        self.world = world
+        # Users of this package ask it for more than a `SimulatedWorld` has.
+        self.world: Any = world
+        self._is_dense = reward == "dense"
+        self._progress = 0.0
         self.task_kind = task
         self.recipe = recipe
         self.recording = recording
         self.is_drawing = True
         # Where episodes are begun again others need not be there to be drawn.
         self._places = task.places(world.bank) if draws_scenes else None
-        prefix = world.description.prefix
-        check_cameras(world.model, cameras, prefix)
+        check_cameras(world.model, cameras, world.prefix)
         self._action = action
         self._cameras = cameras
-        self.render_mode = "rgb_array"
+        self.render_mode = render_mode
         self._substeps = max(1, round(1 / control_hz / world.model.opt.timestep))
         self._period = self._substeps * float(world.model.opt.timestep)
         self.metadata = {**self.metadata, "render_fps": round(1 / self._period)}
@@ -203,11 +124,11 @@ class RobotEnv(gymnasium.Env):
         arm = world.robot
         self._low = arm.low
         self._high = arm.high
-        self._most = np.array(world.description.arm.speed) * self._period
-        self._share = GripShare(world.description)
-        self._pictures = Pictures(world.model, *image_size, prefix)
+        self._most = np.array(world.speed) * self._period
+        self._share = GripShare(world.gripper, world.opened)
+        self._pictures = Pictures(world.model, *image_size, world.prefix, world.new_context)
         is_tool = action == "tool"
-        self._kinematics = ArmKinematics(world.base, world.description) if is_tool else None
+        self._kinematics = world.kinematics() if is_tool else None
         number = 7 if is_tool else len(arm.qpos) + 1
         self.action_space = spaces.Box(-1.0, 1.0, (number,), np.float32)
         columns = _OBJECT_ROW + _POSE * task.has_goals
@@ -224,7 +145,11 @@ class RobotEnv(gymnasium.Env):
         self.start: EpisodeStart | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return required_recipe(self.recipe, "make_robot_env"), ()
+        if self.recipe is None:
+            raise TypeError(
+                "it holds a simulation, so the call that made it is pickled; it was made otherwise"
+            )
+        return self.recipe, ()
 
     @property
     def state_names(self) -> list[str]:
@@ -268,9 +193,7 @@ class RobotEnv(gymnasium.Env):
         index = int(self.world.bank.index[place])
         drawn = int(self.np_random.integers(2**31))
         state = self.world.reset(drawn, index=index)
-        start = self.task_kind.begin(
-            self.world.scene(state), self.world.bank, place, self.np_random
-        )
+        start = self.task_kind.begin(self.world.scene(state), self.world, place, self.np_random)
         return self._begin(state, start, index, drawn)
 
     def begin(self, start: SavedStart) -> tuple[Any, Info]:
@@ -310,7 +233,7 @@ class RobotEnv(gymnasium.Env):
         )
 
     def _begin(
-        self, state: WorldState, start: EpisodeStart, index: int, seed: int, words: str = ""
+        self, state: Any, start: EpisodeStart, index: int, seed: int, words: str = ""
     ) -> tuple[Any, Info]:
         self.start = start
         scene = start.scene
@@ -319,6 +242,7 @@ class RobotEnv(gymnasium.Env):
         self._num_limited = 0
         self.execution = WorldExecution(self.world, state, self.start.scene, self.start.target)
         self._judge = self.task_kind.judge(self.start, self.execution)
+        self._progress = self._judge.progress
         self._order = [
             self.start.target,
             *(k for k in range(len(scene.names)) if k != self.start.target),
@@ -402,17 +326,31 @@ class RobotEnv(gymnasium.Env):
         except Failed as failure:
             outcome = str(failure.outcome)
             detail = failure.detail
+        before = self._progress
+        is_success = outcome == Outcome.SUCCESS
+        # What came of an episode is kept where it fails: to come near is worth something in any case.
+        self._progress = 1.0 if is_success else self._finite_progress()
+        reward = is_success + (self._progress - before if self._is_dense else 0.0)
         is_late = not outcome and self._num_steps >= self._max_episode_steps
         seen = self._observe()
         told = self._info_at(TIME_LIMIT if is_late else outcome, detail)
         if outcome or is_late:
             self.execution = None
-        return seen, float(told["is_success"]), bool(outcome), is_late, told
+        return seen, float(reward), bool(outcome), is_late, told
+
+    def _finite_progress(self) -> float:
+        """The progress of now; that of before where the simulation diverged."""
+        found = self._judge.progress
+        return found if np.isfinite(found) else self._progress
 
     def _info_at(self, outcome: str, detail: str) -> Info:
         is_success = outcome == Outcome.SUCCESS
         ending = {"is_success": is_success, "outcome": outcome, "detail": detail}
-        counted = {"num_outside": self._num_outside, "num_limited": self._num_limited}
+        counted = {
+            "num_outside": self._num_outside,
+            "num_limited": self._num_limited,
+            "progress": self._progress,
+        }
         return {**self._info, **ending, **counted}
 
     def _ctrl_of(self, action: Any) -> np.ndarray:
@@ -494,8 +432,13 @@ class RobotEnv(gymnasium.Env):
         """Steps of the simulation in one of control."""
         return self._substeps
 
-    def render(self) -> np.ndarray:
-        """u8[height, width, 3]: the camera `front`; the first of the environment's own if it has some."""
+    def render(self) -> np.ndarray | None:
+        """u8[height, width, 3]: the camera `front`; the first of the environment's own if it has some.
+
+        None with `render_mode=None`.
+        """
+        if self.render_mode is None:
+            return None
         if self.start is None or not hasattr(self, "_data"):
             raise gymnasium.error.ResetNeeded("reset() has to be called before render()")
         return self._pictures.draw(self._data, self._cameras[0] if self._cameras else "front")
@@ -559,7 +502,8 @@ class RobotEnv(gymnasium.Env):
         warmstart = data.qacc_warmstart.copy()
         mujoco.mj_forward(model, data)
         data.qacc_warmstart[:] = warmstart
-        return self._observe(), told[1]
+        self._progress = self._judge.progress
+        return self._observe(), {**told[1], "progress": self._progress}
 
     def _observe(self) -> dict[str, Any]:
         run = self.execution
@@ -586,15 +530,34 @@ class RobotEnv(gymnasium.Env):
         return seen
 
 
+def move_tool(T_world_tool: np.ndarray, shift: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """f64[4, 4]: a pose moved by f[3] metres and turned by the rotation vector f[3], in world axes."""
+    angle = float(np.linalg.norm(turn))
+    axis = turn / angle if angle else np.array([1.0, 0.0, 0.0])
+    quaternion = np.empty(4)
+    mujoco.mju_axisAngle2Quat(quaternion, axis, angle)
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, quaternion)
+    pose = T_world_tool.copy()
+    pose[:3, 3] += shift
+    pose[:3, :3] = rotation.reshape(3, 3) @ pose[:3, :3]
+    return pose
+
+
 def check_settings(
     action: str,
     cameras: Sequence[str],
     image_size: Sequence[int],
     control_hz: float,
     max_seconds: float | None,
+    reward: str,
+    render_mode: str | None,
 ) -> None:
     """Refuses what no environment can have (ConfigError)."""
     check_choice("action", action, RobotAction)
+    check_choice("reward", reward, RobotReward)
+    if render_mode is not None and render_mode not in get_args(RenderMode):
+        raise ConfigError(f"render_mode = {render_mode!r}", "rgb_array, or None")
     if not isinstance(cameras, (tuple, list)) or len(set(cameras)) < len(cameras):
         raise ConfigError(
             f"cameras = {cameras!r}", "a sequence of names, each once", 'cameras=("front",)'

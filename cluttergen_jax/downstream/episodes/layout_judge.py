@@ -1,18 +1,19 @@
-"""The judge of rearrangements: it alone, besides `observe.TrueObserver`, reads where objects truly are."""
+"""The judge of rearrangements: it alone, besides `TrueObserver`, reads where objects truly are."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from cluttergen_jax.config import StabilityConfig, VerifyConfig
-from cluttergen_jax.downstream.rearrange.observe import Cause
-from cluttergen_jax.downstream.robot import WATCHED, Execution, Failed, Outcome, Phase, told_motion
+from cluttergen_jax.downstream.episodes.outcome import Cause, Failed, Outcome, told_motion
+from cluttergen_jax.downstream.episodes.referee import WATCHED
+from cluttergen_jax.downstream.episodes.simulation import Phase, Simulation
 from cluttergen_jax.downstream.transforms import matrix_of, offset
 from cluttergen_jax.physics import check_standing, displacement, has_moved, watch
-from cluttergen_jax.scene import Scene
 
 # Metres and radians, up to its symmetry, that each object may be from its place in the chosen layout.
 MAX_ERROR = 0.015
@@ -27,12 +28,13 @@ class RearrangementJudge:
     """Watches an episode and says at its end whether the objects are where they should be.
 
     Args:
-      execution: the simulation. scene: as it was at the start; the first `num_moved` objects are to be moved.
+      execution: the simulation. scene: as it was at the start (`SimulatedWorld.scene`); the first `num_moved`
+        objects are to be moved.
       symmetry: of each object (`assets.symmetry.turn_symmetry`).
     """
 
-    execution: Execution
-    scene: Scene
+    execution: Simulation
+    scene: Any
     num_moved: int
     symmetry: Sequence[int]
 
