@@ -41,6 +41,11 @@ from robosuite.models.tasks import ManipulationTask
 from robosuite.utils.mjcf_utils import array_to_string, new_body, string_to_array
 
 ROOT = Path(__file__).resolve().parent
+if "robosuite" in ROOT.parts:
+    raise ValueError(
+        f"{ROOT} has a folder called 'robosuite', after which robosuite looks for files of its own; "
+        "rename it or move the export"
+    )
 # Where LIBERO's robot stands at LIBERO's own table, and how high that is; its cameras are set to both.
 _LIBERO_BASE = (-0.66, 0.0, 0.0)
 _LIBERO_TOP = 0.9

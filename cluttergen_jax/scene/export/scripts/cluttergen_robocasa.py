@@ -15,6 +15,11 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 ROOT = Path(__file__).resolve().parent
+if "robosuite" in ROOT.parts:
+    raise ValueError(
+        f"{ROOT} has a folder called 'robosuite', after which robosuite looks for files of its own; "
+        "rename it or move the export"
+    )
 REGISTRY = "cluttergen"
 
 

@@ -22,6 +22,11 @@ from robosuite.models.objects import MujocoXMLObject
 from robosuite.models.tasks import ManipulationTask
 
 ROOT = Path(__file__).resolve().parent
+if "robosuite" in ROOT.parts:
+    raise ValueError(
+        f"{ROOT} has a folder called 'robosuite', after which robosuite looks for files of its own; "
+        "rename it or move the export"
+    )
 _TABLE_HEIGHT = 0.8
 """Height of robosuite's own tables, beside which its robots stand."""
 _GAP = 0.2
