@@ -181,8 +181,11 @@ _USD = Format(
     _usd("write_object_usd"),
     _usd("write_support_usd"),
     _usd("write_scene_usd"),
+    scripts=("cluttergen_isaaclab.py",),
     require=_usd("require_usd"),
     object_folder=usd_folder,
+    notes="Isaac Lab 2.1 to 3.0: from cluttergen_isaaclab import Clutter; its assets() and event() go into the "
+    "configuration of an environment, whose resets put worlds as in scenes. It has not been run there.",
 )
 _ALL = (
     Format(
