@@ -140,7 +140,7 @@ def _check_path(out: Path, kind: Format) -> None:
     if reserved and reserved in out.resolve().parts:
         raise ConfigError(
             f"an export as {kind.name} in {out.resolve()}",
-            f"a path without a folder called {reserved!r}: the program replaces all up to it by its own place",
+            f"a path without a folder called {reserved!r}, which leads the program to its own files",
             f"out='in_{kind.name}'",
         )
 

@@ -60,8 +60,8 @@ class Format:
       object_folder: where an object's files lie, relative to the export's folder.
       takes_cameras: cameras are written into what the program reads; else into `scenes/*.json` alone.
       takes_grasps: grasps are written into objects' folders.
-      reserved_folder: a name that no folder on the way to an export may have, as the program takes what follows
-        it for files of its own; "" for none.
+      reserved_folder: a name that no folder on the way to an export may have, since the program takes what
+        follows it for files of its own; "" for none.
       notes: more for the README: the settings that the program needs, and what it takes from the files.
       require: raises MissingExtraError if a package that the format needs is not installed.
     """
@@ -184,8 +184,8 @@ _USD = Format(
     scripts=("cluttergen_isaaclab.py",),
     require=_usd("require_usd"),
     object_folder=usd_folder,
-    notes="Isaac Lab 2.1 to 3.0: from cluttergen_isaaclab import Clutter; its assets() and event() go into the "
-    "configuration of an environment, whose resets put worlds as in scenes. It has not been run there.",
+    notes="Isaac Lab 2.1 to 3.0: from cluttergen_isaaclab import Clutter; its assets() and event() go into "
+    "the configuration of an environment, whose resets put worlds as in scenes. It has not been run there.",
 )
 _ALL = (
     Format(
@@ -196,8 +196,9 @@ _ALL = (
         _write_meshes,
         _scene_writer(_mjcf_text),
         scripts=("cluttergen_dm_control.py", "cluttergen_newton.py"),
-        notes="dm_control 1.0.50: from cluttergen_dm_control import ClutterArena; ClutterArena(scene=0) is an arena "
-        "for its composer. Newton 1.8: import cluttergen_newton; cluttergen_newton.add_worlds(builder, [0, 1]).",
+        notes="dm_control 1.0.50: from cluttergen_dm_control import ClutterArena; ClutterArena(scene=0) is an "
+        "arena for its composer. Newton 1.8: import cluttergen_newton; "
+        "cluttergen_newton.add_worlds(builder, [0, 1]).",
     ),
     Format(
         "mjcf-old",

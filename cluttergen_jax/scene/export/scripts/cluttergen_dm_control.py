@@ -1,14 +1,14 @@
 """Exported scenes in dm_control: an arena with a scene in it, to which a task adds what it likes.
 
-    from cluttergen_dm_control import ClutterArena     # dm_control 1.0.50, MuJoCo 3.17; beside this folder's scenes
+    from cluttergen_dm_control import ClutterArena     # needs dm_control 1.0.50 and MuJoCo 3.17
 
     arena = ClutterArena(scene=3)                      # without a number another scene in each episode
     arena.attach(robot)
     env = composer.Environment(task)                   # a task whose root_entity is the arena
 
 `add_scene(arena, 3)` does the same for an arena of your own: the support is attached, and each object is an
-entity with a free joint that the arena gives it (`arena.add_free_entity`). Their poses are the model's own, so
-that every reset of the physics puts them back.
+entity with a free joint that the arena gives it (`arena.add_free_entity`). Their poses are the model's own:
+every reset of the physics puts them back.
 """
 
 import copy
@@ -57,7 +57,9 @@ class SceneFile:
         path = ROOT / "scenes" / f"{number:06d}.xml"
         if not path.is_file():
             numbers = scene_numbers()
-            raise ValueError(f"no scene {number} in {ROOT}; there are {numbers[0]} to {numbers[-1]}")
+            raise ValueError(
+                f"no scene {number} in {ROOT}; there are {numbers[0]} to {numbers[-1]}"
+            )
         self._root = ET.parse(path).getroot()
         self._bodies = {each.get("name"): each for each in self._root.iterfind("worldbody/body")}
         self._assets = list(self._root.find("asset"))

@@ -1,6 +1,6 @@
-"""Exported scenes in Isaac Lab: worlds of a `RigidObjectCollection`, and a reset that puts them as in a scene.
+"""Exported scenes in Isaac Lab: worlds of a `RigidObjectCollection`, and a reset that puts them as in scenes.
 
-    from cluttergen_isaaclab import Clutter      # in the export's folder, once Isaac's application has started
+    from cluttergen_isaaclab import Clutter      # in the export's folder; the application has started
 
     clutter = Clutter()
     for name, cfg in clutter.assets().items():   # "support", "clutter"
@@ -8,15 +8,17 @@
     scene_cfg.replicate_physics = clutter.num_sets == 1
     events_cfg.reset_clutter = clutter.event()
 
-A world keeps its objects: those of set (its number modulo the number of sets). A reset draws among all scenes of
-the same objects, which are cached as states; `Clutter(num_sets=1)` takes the set with the most scenes alone.
+A world keeps its objects: those of set (its number modulo the number of sets). A reset draws among all
+scenes of the same objects, which are cached as states; `Clutter(num_sets=1)` takes the set with the most
+scenes alone.
 
-Neither Isaac Sim nor Isaac Lab has run this. What it stands on, in Isaac Lab's own repository and documentation:
+Neither Isaac Sim nor Isaac Lab has run this. What it stands on, in Isaac Lab's repository and documentation:
 
-  RigidObjectCollectionCfg.rigid_objects, a dictionary of RigidObjectCfg: isaaclab/assets/rigid_object_collection/
-    rigid_object_collection_cfg.py; the root prim of each file has UsdPhysics.RigidBodyAPI, as our files have.
-  RigidObjectCfg, AssetBaseCfg: prim_path with {ENV_REGEX_NS}, spawn, init_state.pos: isaaclab/assets/asset_base_cfg.py.
-  UsdFileCfg.usd_path, and MultiUsdFileCfg with random_choice=False, by which worlds take files in their order:
+  RigidObjectCollectionCfg.rigid_objects, a dictionary of RigidObjectCfg, whose files have a rigid body at their
+    root: isaaclab/assets/rigid_object_collection/rigid_object_collection_cfg.py.
+  RigidObjectCfg, AssetBaseCfg: prim_path with {ENV_REGEX_NS}, spawn, init_state.pos:
+    isaaclab/assets/asset_base_cfg.py.
+  UsdFileCfg.usd_path, and MultiUsdFileCfg with random_choice=False, by which worlds take files in order:
     isaaclab/sim/spawners/wrappers; documentation, "Spawning Multiple Assets", with replicate_physics=False.
   EventTermCfg(func, mode="reset"), called as func(env, env_ids): isaaclab/managers/manager_term_cfg.py.
   env.scene.env_origins, f32[W, 3], and env.scene["clutter"]: isaaclab/scene/interactive_scene.py.
@@ -111,7 +113,7 @@ class Clutter:
         return len(self.sets)
 
     def assets(self):
-        """The support, and the collection "clutter" with an object for each slot, for `InteractiveSceneCfg`."""
+        """The support, and the collection "clutter" with an object for each slot."""
         support = AssetBaseCfg(
             prim_path="{ENV_REGEX_NS}/Support",
             spawn=sim_utils.UsdFileCfg(usd_path=str(ROOT / "assets/support/support.usda")),

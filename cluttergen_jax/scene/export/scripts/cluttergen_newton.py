@@ -7,9 +7,9 @@
     model = builder.finalize()
     solver = cluttergen_newton.make_solver(model)
 
-newton[sim] 1.8 wants MuJoCo 3.17, not 4. Scenes are added with `collapse_fixed_joints`: a support that is a body
-of its own is filtered against the floor, and with such filters Newton takes 256 shapes in all worlds together
-("The heterogeneous geom collision graph exceeds the MuJoCo mask compiler's capacity").
+newton[sim] 1.8 wants MuJoCo 3.17, not 4. Scenes are added with `collapse_fixed_joints`: a support that is a
+body of its own is filtered against the floor, and with such filters Newton takes 256 shapes at most ("The
+heterogeneous geom collision graph exceeds the MuJoCo mask compiler's capacity").
 """
 
 import warnings
