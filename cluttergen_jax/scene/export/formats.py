@@ -196,8 +196,8 @@ _ALL = (
         _write_meshes,
         _scene_writer(_mjcf_text),
         scripts=("cluttergen_dm_control.py", "cluttergen_newton.py"),
-        notes="dm_control 1.0.50: from cluttergen_dm_control import ClutterArena; ClutterArena(scene=0) is an "
-        "arena for its composer. Newton 1.8: import cluttergen_newton; "
+        notes="dm_control 1.0.50: from cluttergen_dm_control import ClutterArena; ClutterArena(scene=0) is "
+        "an arena for its composer. Newton 1.8: import cluttergen_newton; "
         "cluttergen_newton.add_worlds(builder, [0, 1]).",
     ),
     Format(

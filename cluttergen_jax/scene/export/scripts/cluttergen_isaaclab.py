@@ -14,7 +14,7 @@ scenes alone.
 
 Neither Isaac Sim nor Isaac Lab has run this. What it stands on, in Isaac Lab's repository and documentation:
 
-  RigidObjectCollectionCfg.rigid_objects, a dictionary of RigidObjectCfg, whose files have a rigid body at their
+  RigidObjectCollectionCfg.rigid_objects, a dictionary of RigidObjectCfg, whose files have a rigid body as
     root: isaaclab/assets/rigid_object_collection/rigid_object_collection_cfg.py.
   RigidObjectCfg, AssetBaseCfg: prim_path with {ENV_REGEX_NS}, spawn, init_state.pos:
     isaaclab/assets/asset_base_cfg.py.
