@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+import tempfile
 import time
 import venv
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -15,7 +16,7 @@ import numpy as np
 
 import cluttergen_jax as cg
 from cluttergen_jax.errors import ClutterGenError
-from cluttergen_jax.files import folder_whole, write_atomically
+from cluttergen_jax.files import write_atomically
 from studies.benchmarks.section import ROOT
 from studies.hosts.table import OWN, Host
 
@@ -95,13 +96,17 @@ class HostFolder:
         return result
 
     def results(self) -> dict[str, Measurement]:
-        """What was measured so far, by host."""
-        found = [read_measurement(file) for file in sorted(self.path.glob("results-*/*.json"))]
+        """What was measured so far with this setting, by host."""
+        files = sorted((self.path / self._setting).glob("*.json"))
+        found = [read_measurement(file) for file in files]
         return {each.host: each for each in found if each is not None}
 
+    @property
+    def _setting(self) -> str:
+        return f"results-{self._num_scenes}-{self._seconds:g}-{self._seed}"
+
     def _result_file(self, host: Host) -> Path:
-        setting = f"results-{self._num_scenes}-{self._seconds:g}-{self._seed}"
-        return self.path / setting / f"{host.name}.json"
+        return self.path / self._setting / f"{host.name}.json"
 
     def _python(self, host: Host, note: Note) -> Path:
         """The interpreter of the host's environment, which is made if it is not whole."""
@@ -121,9 +126,7 @@ class HostFolder:
     def _export(self, host: Host) -> Path:
         name = f"{self._num_scenes}-{self._seed}"
         bank = self.path / f"bank-{name}"
-        if not (bank / "bank.json").is_file():
-            with folder_whole(bank) as fresh:
-                _generate(fresh, self._num_scenes, self._seed)
+        _generate(bank, self._num_scenes, self._seed)
         out = self.path / f"exports-{name}" / f"in_{host.format}"
         try:
             return cg.export(bank, out, host.format, overwrite=True)
@@ -167,11 +170,11 @@ def read_measurement(file: Path) -> Measurement | None:
 
 
 def _generate(out: Path, num_scenes: int, seed: int) -> None:
-    """Six dining objects in each scene, so that most scenes have others."""
+    """Six dining objects in each scene, so that most scenes have others; what is there is kept."""
     cg.generate(out, pool="dining", num_objects=6, num_scenes=num_scenes, seed=seed, render=False)
 
 
-def _call(words: list[object], fault: str, note: Note | None) -> str:
+def _call(words: Sequence[object], fault: str, note: Note | None) -> str:
     """What a program prints; its other words go to `note` line by line.
 
     Raises:
@@ -180,19 +183,21 @@ def _call(words: list[object], fault: str, note: Note | None) -> str:
     hidden = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
     environment = {key: value for key, value in os.environ.items() if key not in hidden}
     last: list[str] = []
-    with subprocess.Popen(
-        [str(each) for each in words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=environment,
-    ) as program:
-        assert program.stdout is not None and program.stderr is not None
-        for line in program.stderr:
-            last = [*last[-20:], line.strip()]
-            if note is not None:
-                note(line.strip()[:80])
-        printed = program.stdout.read()
+    # A pipe that nobody reads would fill up: compilers of kernels print much.
+    with tempfile.TemporaryFile("w+") as printed_file:
+        with subprocess.Popen(
+            [str(each) for each in words],
+            stdout=printed_file,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment,
+        ) as program:
+            for line in program.stderr or ():
+                last = [*last[-20:], line.strip()]
+                if note is not None:
+                    note(line.strip()[:80])
+        printed_file.seek(0)
+        printed = printed_file.read()
     if program.returncode != 0:
         words_left = " ".join(each for each in last if each)[-_LAST:]
         raise HostError(f"{fault}: {words_left or f'status {program.returncode}'}")

@@ -104,7 +104,14 @@ _ALL = (
         "in each environment",
     ),
     Host("drake", "Drake", "sdf", ("drake==1.51.1",), ("drake",), "in each plant"),
-    Host("pybullet", "PyBullet", "urdf", ("pybullet==3.2.7", "numpy"), ("pybullet",), "in each client"),
+    Host(
+        "pybullet",
+        "PyBullet",
+        "urdf",
+        ("pybullet==3.2.7", "numpy"),
+        ("pybullet",),
+        "in each client",
+    ),
 )
 HOSTS = {each.name: each for each in _ALL}
 """Every host by name."""

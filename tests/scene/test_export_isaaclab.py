@@ -85,8 +85,8 @@ def test_what_the_collection_takes_is_a_rigid_body_at_its_root(folder):
     from pxr import Usd, UsdPhysics
 
     for path in folder.glob("assets/objects/*/usd/*.usda"):
-        root = Usd.Stage.Open(str(path)).GetDefaultPrim()
-        assert root.HasAPI(UsdPhysics.RigidBodyAPI)
+        stage = Usd.Stage.Open(str(path))
+        assert stage.GetDefaultPrim().HasAPI(UsdPhysics.RigidBodyAPI)
 
 
 def test_an_unknown_interface_is_refused_at_once(folder):

@@ -36,9 +36,7 @@ for path in sorted(folder.glob("scenes/*.sdf"))[:num_scenes]:
 
     def positions(plant=plant, context=context, bodies=bodies):
         """f64[N, 3]."""
-        return np.array(
-            [plant.EvalBodyPoseInWorld(context, body).translation() for body in bodies]
-        )
+        return np.array([plant.EvalBodyPoseInWorld(context, body).translation() for body in bodies])
 
     start = positions()
     move = 0.0

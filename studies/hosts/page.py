@@ -1,0 +1,75 @@
+"""What docs/guide/hosts.md takes from here: the table, and the command that each section begins with."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+from studies.benchmarks.section import ROOT, replace_section
+from studies.hosts.measurement import Measurement
+from studies.hosts.table import HOSTS, Host
+
+PAGE = ROOT / "docs/guide/hosts.md"
+_GUIDES = (PAGE, ROOT / "docs/guide/export.md")
+_SECTION = "hosts"
+_BLOCK = re.compile(r"```python\n(.*?)```", re.DOTALL)
+_HEADER = ("host", "opened by", "moves in 10 s (mm)", "other objects", "trains", "lines")
+
+
+def table_text(results: Mapping[str, Measurement]) -> str:
+    """The table in Markdown: a row for each host, measured or not."""
+    lines = [_HEADER, ["---"] * len(_HEADER)]
+    lines += [_row(host, results.get(host.name)) for host in HOSTS.values()]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def write_page(results: Mapping[str, Measurement], page: Path = PAGE) -> None:
+    """Puts the table, and the sections' commands, into the guide; all else stays."""
+    text = with_commands(page.read_text(encoding="utf-8"))
+    page.write_text(text, encoding="utf-8")
+    replace_section(page, _SECTION, f"{table_text(results)}\n\n{_origin(results)}".strip())
+
+
+def with_commands(text: str) -> str:
+    """A guide whose sections of hosts begin with the command that makes their environment."""
+    for host in HOSTS.values():
+        heading = f"## {host.title}\n\n"
+        old = re.compile(re.escape(heading) + r"(?:```bash\npip install [^\n]*\n```\n\n)?")
+        block = f"```bash\n{host.pip_line}\n```\n\n"
+        text = old.sub(lambda _, new=heading + block: new, text)  # type: ignore[misc]
+    return text
+
+
+def num_lines(host: Host) -> int:
+    """Lines of Python that the guide asks of a user, in the host's own section; 0 if there is none."""
+    for guide in _GUIDES:
+        _, found, rest = guide.read_text(encoding="utf-8").partition(f"## {host.title}\n")
+        if found:
+            blocks = _BLOCK.findall(rest.partition("\n## ")[0])
+            return sum(bool(line.strip()) for block in blocks for line in block.splitlines())
+    return 0
+
+
+def _row(host: Host, result: Measurement | None) -> list[str]:
+    opened = "not measured"
+    moves = "-"
+    if result is not None and result.fault:
+        opened = result.fault.partition(":")[0]
+    elif result is not None:
+        opened = ", ".join(f"{name} {each}" for name, each in (result.versions or {}).items())
+        moves = f"{1000 * result.largest:.2g} ({1000 * result.median:.2g})"
+        moves = moves if result.is_finite else "not finite"
+    return [host.title, opened, moves, host.others, host.trains, str(num_lines(host) or "-")]
+
+
+def _origin(results: Mapping[str, Measurement]) -> str:
+    done = [each for each in results.values() if not each.fault]
+    if not done:
+        return ""
+    numbers = sorted({len(each.moves) for each in done})
+    dates = sorted({each.date for each in done})
+    return (
+        f"Largest (median) over {' or '.join(map(str, numbers))} scenes of six dining objects, each "
+        f"{done[0].seconds:g} s on a CPU: `python -m studies.hosts --write`, {' to '.join(dates)}."
+    )

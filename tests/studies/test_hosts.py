@@ -1,0 +1,125 @@
+"""The program that runs scenes in every host: its table of hosts, what it keeps, and what it writes."""
+
+import json
+import sys
+from dataclasses import asdict, replace
+from typing import get_args
+
+import pytest
+
+from cluttergen_jax.config import ExportFormat
+from studies.hosts import measurement, page
+from studies.hosts.measurement import HostFolder, Measurement, read_measurement
+from studies.hosts.table import HOSTS, Host
+
+MOVES = (0.0001, 0.002, 0.0005)
+
+
+def test_each_host_has_a_program_a_format_and_pins():
+    for name, host in HOSTS.items():
+        assert name == host.name
+        assert host.program.is_file()
+        assert host.format in get_args(ExportFormat)
+        assert any("==" in each for each in host.packages)
+        compile(host.program.read_text(), host.program.name, "exec")
+
+
+def test_sections_of_the_guide_begin_with_the_command_of_the_table():
+    text = page.PAGE.read_text()
+    assert page.with_commands(text) == text
+    for host in HOSTS.values():
+        if f"## {host.title}\n" in text:
+            assert f"## {host.title}\n\n```bash\n{host.pip_line}\n```\n" in text
+
+
+def test_commands_are_put_in_and_replaced():
+    host = HOSTS["newton"]
+    bare = f"# Guide\n\n## {host.title}\n\n```python\nimport newton\n```\n\n## Other\n"
+    once = page.with_commands(bare)
+    assert f"## {host.title}\n\n```bash\n{host.pip_line}\n```\n\n```python" in once
+    old = once.replace(host.pip_line, "pip install newton==0.1")
+    assert page.with_commands(old) == once
+    assert page.with_commands(once) == once
+
+
+def test_the_table_has_millimetres_of_the_worst_scene_and_says_what_fails():
+    result = Measurement("newton", versions={"newton": "1.8.0"}, moves=MOVES, is_finite=True)
+    broken = replace(result, is_finite=False)
+    fault = Measurement("drake", fault="cannot be installed: no such version")
+    text = page.table_text({"newton": result, "drake": fault, "dm_control": broken})
+    rows = {line.split(" | ")[0].removeprefix("| "): line for line in text.splitlines()}
+    assert "newton 1.8.0 | 2 (0.5)" in rows["Newton"]
+    assert "not finite" in rows["dm_control"]
+    assert "cannot be installed |" in rows["Drake"]
+    assert "not measured" in rows["PyBullet"]
+    assert len(rows) == len(HOSTS) + 2
+
+
+@pytest.fixture
+def host(tmp_path, monkeypatch):
+    """A host whose environment is there, whose export is empty, and that counts its runs."""
+    program = tmp_path / "step_own.py"
+    program.write_text(
+        "import json, sys\n"
+        "file = sys.argv[1] + '/runs'\n"
+        "open(file, 'a').write('x')\n"
+        "print('1 of 3', file=sys.stderr)\n"
+        "print('x' * 200_000)\n"
+        f"print(json.dumps({{'moves': {list(MOVES)}, 'is_finite': True, 'num_worlds': 3}}))\n"
+    )
+    own = Host("own", "Own", "mjcf", ("own==1",), (), "yes")
+    monkeypatch.setattr(Host, "program", program)
+    export = tmp_path / "export"
+    export.mkdir()
+    monkeypatch.setattr(HostFolder, "_export", lambda self, host: export)
+    python = tmp_path / "out" / "environments" / "own" / "bin" / "python"
+    python.parent.mkdir(parents=True)
+    python.symlink_to(sys.executable)
+    (python.parents[1] / "packages.json").write_text(json.dumps(own.packages))
+    return own
+
+
+def test_a_measurement_is_kept_and_not_made_again(host, tmp_path):
+    notes = []
+    folder = HostFolder(tmp_path / "out", 3, 10.0, 0)
+    result = folder.measure(host, notes.append)
+    assert (result.moves, result.fault, result.num_worlds) == (MOVES, "", 3)
+    assert "own: 1 of 3" in notes
+    assert folder.measure(host, notes.append) == result
+    assert (tmp_path / "export" / "runs").read_text() == "x"
+    assert HostFolder(tmp_path / "out", 3, 10.0, 0).results() == {"own": result}
+    # Another setting is another measurement.
+    HostFolder(tmp_path / "out", 4, 10.0, 0).measure(host, notes.append)
+    assert (tmp_path / "export" / "runs").read_text() == "xx"
+
+
+def test_a_program_that_fails_is_told_with_its_last_words_and_tried_again(host, tmp_path):
+    program = host.program
+    good = program.read_text()
+    program.write_text("raise ValueError('no such field')")
+    folder = HostFolder(tmp_path / "out", 3, 10.0, 0)
+    fault = folder.measure(host, print).fault
+    assert fault.startswith("fails: ")
+    assert fault.endswith("ValueError: no such field")
+    program.write_text(good)
+    assert folder.measure(host, print).fault == ""
+
+
+def test_an_environment_that_cannot_be_made_is_told(host, tmp_path, monkeypatch):
+    def refuse(words, fault, note):
+        raise measurement.HostError(f"{fault}: no matching distribution")
+
+    (tmp_path / "out" / "environments" / "own" / "packages.json").unlink()
+    monkeypatch.setattr(measurement.venv, "create", lambda *args, **kwargs: None)
+    monkeypatch.setattr(measurement, "_call", refuse)
+    folder = HostFolder(tmp_path / "out", 3, 10.0, 0)
+    assert folder.measure(host, print).fault == "cannot be installed: no matching distribution"
+    assert folder.results()["own"].fault
+
+
+def test_a_file_that_is_no_measurement_counts_as_none(tmp_path):
+    file = tmp_path / "newton.json"
+    for text in ("", "[]", '{"moves": 1}', json.dumps({**asdict(Measurement("own")), "x": 1})):
+        file.write_text(text)
+        assert read_measurement(file) is None
+    assert read_measurement(tmp_path / "none.json") is None
