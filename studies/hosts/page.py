@@ -6,15 +6,16 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
+from cluttergen_jax.files import write_atomically
 from studies.benchmarks.section import ROOT, replace_section
 from studies.hosts.measurement import Measurement
 from studies.hosts.table import HOSTS, Host
 
 PAGE = ROOT / "docs/guide/hosts.md"
-_GUIDES = (PAGE, ROOT / "docs/guide/export.md")
+GUIDES = (PAGE, ROOT / "docs/guide/export.md")
 _SECTION = "hosts"
 _BLOCK = re.compile(r"```python\n(.*?)```", re.DOTALL)
-_HEADER = ("host", "opened by", "moves in 10 s (mm)", "other objects", "trains", "lines")
+_HEADER = ("host", "format", "opened by", "moves in 10 s (mm)", "other objects", "trains", "lines")
 
 
 def table_text(results: Mapping[str, Measurement]) -> str:
@@ -25,9 +26,10 @@ def table_text(results: Mapping[str, Measurement]) -> str:
 
 
 def write_page(results: Mapping[str, Measurement], page: Path = PAGE) -> None:
-    """Puts the table, and the sections' commands, into the guide; all else stays."""
-    text = with_commands(page.read_text(encoding="utf-8"))
-    page.write_text(text, encoding="utf-8")
+    """Puts the table into the guide, and the sections' commands into all that have them; all else stays."""
+    for guide in {page, *GUIDES[1:]} if page == PAGE else {page}:
+        text = guide.read_text(encoding="utf-8")
+        write_atomically(guide, with_commands(text).encode())
     replace_section(page, _SECTION, f"{table_text(results)}\n\n{_origin(results)}".strip())
 
 
@@ -43,7 +45,7 @@ def with_commands(text: str) -> str:
 
 def num_lines(host: Host) -> int:
     """Lines of Python that the guide asks of a user, in the host's own section; 0 if there is none."""
-    for guide in _GUIDES:
+    for guide in GUIDES:
         _, found, rest = guide.read_text(encoding="utf-8").partition(f"## {host.title}\n")
         if found:
             blocks = _BLOCK.findall(rest.partition("\n## ")[0])
@@ -60,7 +62,15 @@ def _row(host: Host, result: Measurement | None) -> list[str]:
         opened = ", ".join(f"{name} {each}" for name, each in (result.versions or {}).items())
         moves = f"{1000 * result.largest:.2g} ({1000 * result.median:.2g})"
         moves = moves if result.is_finite else "not finite"
-    return [host.title, opened, moves, host.others, host.trains, str(num_lines(host) or "-")]
+    return [
+        host.title,
+        f"`{host.format}`",
+        opened,
+        moves,
+        host.others,
+        host.trains,
+        str(num_lines(host) or "-"),
+    ]
 
 
 def _origin(results: Mapping[str, Measurement]) -> str:

@@ -24,12 +24,14 @@ def test_each_host_has_a_program_a_format_and_pins():
         compile(host.program.read_text(), host.program.name, "exec")
 
 
-def test_sections_of_the_guide_begin_with_the_command_of_the_table():
-    text = page.PAGE.read_text()
+@pytest.mark.parametrize("guide", page.GUIDES, ids=lambda guide: guide.stem)
+def test_sections_of_guides_begin_with_the_command_of_the_table(guide):
+    text = guide.read_text()
     assert page.with_commands(text) == text
     for host in HOSTS.values():
         if f"## {host.title}\n" in text:
             assert f"## {host.title}\n\n```bash\n{host.pip_line}\n```\n" in text
+    assert all(page.num_lines(host) for host in HOSTS.values() if host.name != "pybullet")
 
 
 def test_commands_are_put_in_and_replaced():
