@@ -13,13 +13,13 @@ heterogeneous geom collision graph exceeds the MuJoCo mask compiler's capacity")
 """
 
 import warnings
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import newton
 
 ROOT = Path(__file__).resolve().parent
-KNOWN = {"newton": "1.8.", "mujoco": "3.17."}
+KNOWN = {"newton": ("1.8.",), "mujoco": ("3.17.",)}
 """How the versions begin that this was run with."""
 _CONTACTS = 40
 _ROWS = 150
@@ -28,10 +28,14 @@ _ROWS = 150
 
 def _check_versions():
     for package, known in KNOWN.items():
-        if not version(package).startswith(known):
+        try:
+            found = version(package)
+        except PackageNotFoundError:
+            found = "of no known version"
+        if not found.startswith(known):
             warnings.warn(
-                f"{package} {version(package)} is outside the known versions, {known}*: "
-                "pip install 'newton[sim]==1.8.0' trimesh scipy",
+                f"{package} {found}; known: {', '.join(each.rstrip('.') for each in known)}. "
+                "Try: pip install 'newton[sim]==1.8.0' trimesh scipy",
                 stacklevel=3,
             )
 

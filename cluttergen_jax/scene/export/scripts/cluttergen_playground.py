@@ -24,7 +24,7 @@ With a robot of your own, or another reward, extend the class:
 
 import warnings
 from functools import partial
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import jax
@@ -36,7 +36,7 @@ from mujoco_playground._src import mjx_env
 
 import cluttergen_jax as cg
 
-KNOWN = {"playground": "0.2.", "mujoco": "3.17.", "mujoco-mjx": "3.17."}
+KNOWN = {"playground": ("0.2.",), "mujoco": ("3.17.",), "mujoco-mjx": ("3.17.",)}
 """How the versions begin that this was run with."""
 _SECONDS = {"grasp": 15.0, "place": 40.0}
 _WATCHED = 2.0
@@ -45,10 +45,14 @@ _WATCHED = 2.0
 
 def _check_versions():
     for package, known in KNOWN.items():
-        if not version(package).startswith(known):
+        try:
+            found = version(package)
+        except PackageNotFoundError:
+            found = "of no known version"
+        if not found.startswith(known):
             warnings.warn(
-                f"{package} {version(package)} is outside the known versions, {known}*: "
-                "pip install playground==0.2.0 'cluttergen_jax[robot]'",
+                f"{package} {found}; known: {', '.join(each.rstrip('.') for each in known)}. "
+                "Try: pip install playground==0.2.0 'cluttergen_jax[robot]'",
                 stacklevel=3,
             )
 
