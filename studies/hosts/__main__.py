@@ -5,7 +5,8 @@
     python -m studies.hosts --write             # and the table and commands of docs/guide/hosts.md
 
 Environments, one bank, exports and results lie in `--out`. A host that cannot be installed, or that fails, is
-told as such, and tried again by the next call. Environments take some 10 GB.
+told as such, and tried again by the next call. CLUTTERGEN_HOST_PYTHON (CLUTTERGEN_MJLAB_PYTHON, ...) names an
+interpreter to be used instead of a new environment.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ from typing import Annotated
 
 import tyro
 
-from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.config import check_range
+from cluttergen_jax.errors import ClutterGenError, ConfigError, closest
+from cluttergen_jax.kept_folder import lock_beside
 from cluttergen_jax.progress import Progress
 from studies.hosts.measurement import HostFolder
 from studies.hosts.page import table_text, write_page
@@ -50,10 +53,14 @@ def main(config: HostsConfig) -> int:
     for name in config.hosts:
         if name not in HOSTS:
             raise ConfigError(f"host {name!r}", ", ".join(HOSTS), meant=closest(name, HOSTS))
+    check_range("num_scenes", config.num_scenes, 1, 10_000, 64)
+    if not 0 < config.seconds <= 3600:
+        raise ConfigError(f"seconds = {config.seconds:g}", "more than 0, at most 3600", "10")
     folder = HostFolder(config.out, config.num_scenes, config.seconds, config.seed)
     names = config.hosts or tuple(HOSTS)
     faults = {}
-    with Progress("hosts", len(names), "host") as progress:
+    config.out.mkdir(parents=True, exist_ok=True)
+    with lock_beside(config.out), Progress("hosts", len(names), "host") as progress:
         for name in names:
             result = folder.measure(HOSTS[name], progress.note)
             if result.fault:
@@ -71,5 +78,5 @@ def main(config: HostsConfig) -> int:
 if __name__ == "__main__":
     try:
         sys.exit(main(tyro.cli(HostsConfig, description=__doc__)))
-    except ConfigError as error:
+    except ClutterGenError as error:
         sys.exit(str(error))

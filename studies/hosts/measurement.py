@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
+import sys
 import tempfile
 import time
-import venv
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -109,14 +110,22 @@ class HostFolder:
         return self.path / self._setting / f"{host.name}.json"
 
     def _python(self, host: Host, note: Note) -> Path:
-        """The interpreter of the host's environment, which is made if it is not whole."""
-        folder = self.path / "environments" / host.name
+        """The interpreter of the host's environment, which is made if it is not whole.
+
+        CLUTTERGEN_HOST_PYTHON names one that is there, as of tests.
+        """
+        if named := os.environ.get(f"CLUTTERGEN_{host.name.upper()}_PYTHON"):
+            return Path(named)
+        folder = (self.path / "environments" / host.name).absolute()
         python = folder / "bin/python"
         asked = json.dumps(host.packages)
         ready = folder / "packages.json"
         if ready.is_file() and ready.read_text() == asked:
             return python
-        venv.create(folder, with_pip=True, clear=True)
+        base = shutil.which(f"python{host.python}") if host.python else sys.executable
+        if base is None:
+            raise HostError(f"cannot be installed: no python{host.python} is on the PATH")
+        _call([base, "-m", "venv", "--clear", folder], "cannot be installed", None)
         packages = [each.replace(OWN, str(ROOT)) for each in host.packages]
         note(f"{host.name}: {host.pip_line}")
         _call([python, "-m", "pip", "install", "--quiet", *packages], "cannot be installed", None)

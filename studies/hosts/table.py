@@ -22,6 +22,7 @@ class Host:
       versions: of the packages that the table names.
       others: other objects in worlds side by side, in words for the table.
       trains: what was trained in it, in words for the table.
+      python: the version that it needs, such as "3.12"; this one's if "".
     """
 
     name: str
@@ -31,6 +32,7 @@ class Host:
     versions: tuple[str, ...]
     others: str
     trains: str = "-"
+    python: str = ""
 
     @property
     def pip_line(self) -> str:
@@ -94,6 +96,7 @@ _ALL = (
         ("lerobot", "mujoco"),
         "yes",
         "ACT",
+        python="3.12",
     ),
     Host(
         "maniskill",

@@ -57,6 +57,19 @@ def test_the_table_has_millimetres_of_the_worst_scene_and_says_what_fails():
     assert len(rows) == len(HOSTS) + 2
 
 
+def test_a_host_of_another_python_is_told_where_there_is_none(host, tmp_path):
+    (tmp_path / "out" / "environments" / "own" / "packages.json").unlink()
+    folder = HostFolder(tmp_path / "out", 3, 10.0, 0)
+    assert "no python9.9 is on the PATH" in folder.measure(replace(host, python="9.9"), print).fault
+
+
+def test_an_interpreter_can_be_named(host, tmp_path, monkeypatch):
+    monkeypatch.setenv("CLUTTERGEN_OWN_PYTHON", sys.executable)
+    folder = HostFolder(tmp_path / "elsewhere", 3, 10.0, 0)
+    assert folder.measure(host, print).moves == MOVES
+    assert not (tmp_path / "elsewhere" / "environments").exists()
+
+
 @pytest.fixture
 def host(tmp_path, monkeypatch):
     """A host whose environment is there, whose export is empty, and that counts its runs."""
@@ -112,7 +125,6 @@ def test_an_environment_that_cannot_be_made_is_told(host, tmp_path, monkeypatch)
         raise measurement.HostError(f"{fault}: no matching distribution")
 
     (tmp_path / "out" / "environments" / "own" / "packages.json").unlink()
-    monkeypatch.setattr(measurement.venv, "create", lambda *args, **kwargs: None)
     monkeypatch.setattr(measurement, "_call", refuse)
     folder = HostFolder(tmp_path / "out", 3, 10.0, 0)
     assert folder.measure(host, print).fault == "cannot be installed: no matching distribution"

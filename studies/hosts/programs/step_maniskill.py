@@ -13,16 +13,19 @@ seconds = float(sys.argv[2])
 num_scenes = int(sys.argv[3])
 sys.path.insert(0, str(folder))
 
-import cluttergen_maniskill  # noqa: F401 - it registers the environment
+import cluttergen_maniskill
 import gymnasium
 import numpy as np
 
+_HEADLESS = {"obs_mode": "none", "render_backend": "none", "sim_backend": "physx_cpu"}
 _EVERY = 10
 
 moves = []
 is_finite = True
 for path in sorted((folder / "scenes").glob("*.json"))[:num_scenes]:
-    env = gymnasium.make("ClutterGenScene-v1", scene=int(path.stem), robot_uids="panda")
+    env = gymnasium.make(
+        cluttergen_maniskill.ENV_ID, scene=int(path.stem), robot_uids="panda", **_HEADLESS
+    )
     env.reset(seed=0)
     scene = env.unwrapped
 
