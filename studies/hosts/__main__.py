@@ -3,6 +3,7 @@
     python -m studies.hosts                     # all; what was measured is kept: run it again to go on
     python -m studies.hosts newton dm_control   # some
     python -m studies.hosts --write             # and the table and commands of docs/guide/hosts.md
+    python -m studies.hosts --only-page         # these alone, of what was measured
 
 Environments, one bank, exports and results lie in `--out`. A host that cannot be installed, or that fails, is
 told as such, and tried again by the next call. CLUTTERGEN_HOST_PYTHON (CLUTTERGEN_MJLAB_PYTHON, ...) names an
@@ -38,6 +39,7 @@ class HostsConfig:
       seconds: of simulated time.
       seed: of the bank.
       write: put the table and the commands into docs/guide/hosts.md.
+      only_page: do nothing but that.
     """
 
     hosts: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
@@ -46,6 +48,7 @@ class HostsConfig:
     seconds: float = 10.0
     seed: int = 87
     write: bool = False
+    only_page: bool = False
 
 
 def main(config: HostsConfig) -> int:
@@ -57,6 +60,9 @@ def main(config: HostsConfig) -> int:
     if not 0 < config.seconds <= 3600:
         raise ConfigError(f"seconds = {config.seconds:g}", "more than 0, at most 3600", "10")
     folder = HostFolder(config.out, config.num_scenes, config.seconds, config.seed)
+    if config.only_page:
+        write_page(folder.results())
+        return 0
     names = config.hosts or tuple(HOSTS)
     faults = {}
     config.out.mkdir(parents=True, exist_ok=True)

@@ -14,6 +14,7 @@ from studies.hosts.table import HOSTS, Host
 PAGE = ROOT / "docs/guide/hosts.md"
 GUIDES = (PAGE, ROOT / "docs/guide/export.md")
 _SECTION = "hosts"
+_COMMAND = "```bash\npip install "
 _BLOCK = re.compile(r"```python\n(.*?)```", re.DOTALL)
 _HEADER = ("host", "format", "opened by", "moves in 10 s (mm)", "other objects", "trains", "lines")
 
@@ -38,10 +39,18 @@ def with_commands(text: str) -> str:
     """A guide whose sections of hosts begin with the command that makes their environment."""
     for host in HOSTS.values():
         heading = f"## {host.title}\n\n"
-        old = re.compile(re.escape(heading) + r"(?:```bash\npip install [^\n]*\n```\n\n)?")
-        block = f"```bash\n{host.pip_line}\n```\n\n"
-        text = old.sub(lambda _, new=heading + block: new, text)  # type: ignore[misc]
+        before, found, after = text.partition(heading)
+        if found:
+            text = before + heading + _with_command(after, host.pip_line)
     return text
+
+
+def _with_command(section: str, line: str) -> str:
+    """A section that begins with the command, in the place of another one or before all else."""
+    if section.startswith(_COMMAND):
+        _, _, rest = section.removeprefix(_COMMAND).partition("\n")
+        return f"```bash\n{line}\n{rest}"
+    return f"```bash\n{line}\n```\n\n{section}"
 
 
 def num_lines(host: Host) -> int:

@@ -30,7 +30,7 @@ def test_sections_of_guides_begin_with_the_command_of_the_table(guide):
     assert page.with_commands(text) == text
     for host in HOSTS.values():
         if f"## {host.title}\n" in text:
-            assert f"## {host.title}\n\n```bash\n{host.pip_line}\n```\n" in text
+            assert f"## {host.title}\n\n```bash\n{host.pip_line}\n" in text
     assert all(page.num_lines(host) for host in HOSTS.values() if host.name != "pybullet")
 
 
@@ -41,6 +41,8 @@ def test_commands_are_put_in_and_replaced():
     assert f"## {host.title}\n\n```bash\n{host.pip_line}\n```\n\n```python" in once
     old = once.replace(host.pip_line, "pip install newton==0.1")
     assert page.with_commands(old) == once
+    more = once.replace(host.pip_line, f"{host.pip_line}\nnewton --help")
+    assert page.with_commands(more.replace(host.pip_line, "pip install newton")) == more
     assert page.with_commands(once) == once
 
 
