@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from cluttergen_jax.files import write_atomically
@@ -27,18 +27,18 @@ def table_text(results: Mapping[str, Measurement]) -> str:
     return "\n".join(f"|{'|'.join(line)}|" for line in lines)
 
 
-def write_page(results: Mapping[str, Measurement], page: Path = PAGE) -> None:
-    """Puts the table into the guide, and the sections' commands into all that have them; all else stays."""
-    for guide in {page, *GUIDES[1:]} if page == PAGE else {page}:
+def write_page(results: Mapping[str, Measurement], guides: Sequence[Path] = GUIDES) -> None:
+    """Puts commands into the sections of guides, and the table into the first; all else stays."""
+    for guide in guides:
         text = guide.read_text(encoding="utf-8")
         write_atomically(guide, with_commands(text).encode())
-    replace_section(page, _SECTION, f"{table_text(results)}\n\n{_origin(results)}".strip())
+    replace_section(guides[0], _SECTION, f"{table_text(results)}\n\n{_origin(results)}".strip())
 
 
 def with_commands(text: str) -> str:
     """A guide whose sections of hosts begin with the command that makes their environment."""
     for host in HOSTS.values():
-        heading = f"## {host.title}\n\n"
+        heading = f"\n## {host.title}\n\n"
         before, found, after = text.partition(heading)
         if found:
             text = before + heading + _with_command(after, host.pip_line)
@@ -56,7 +56,7 @@ def _with_command(section: str, line: str) -> str:
 def num_lines(host: Host) -> int:
     """Lines of Python that the guide asks of a user, in the host's own section; 0 if there is none."""
     for guide in GUIDES:
-        _, found, rest = guide.read_text(encoding="utf-8").partition(f"## {host.title}\n")
+        _, found, rest = guide.read_text(encoding="utf-8").partition(f"\n## {host.title}\n")
         if found:
             blocks = _BLOCK.findall(rest.partition("\n## ")[0])
             return sum(bool(line.strip()) for block in blocks for line in block.splitlines())

@@ -46,6 +46,20 @@ def test_commands_are_put_in_and_replaced():
     assert page.with_commands(once) == once
 
 
+def test_the_guide_gets_table_and_commands_and_keeps_the_rest(tmp_path):
+    guide = tmp_path / "hosts.md"
+    marks = "<!-- hosts: begin -->\nold\n<!-- hosts: end -->"
+    guide.write_text(f"# Guide\n\n{marks}\n\n## Newton\n\nWords.\n")
+    result = Measurement("newton", versions={}, moves=MOVES, is_finite=True, date="2026-01-02")
+    for _ in range(2):
+        page.write_page({"newton": result}, [guide])
+    text = guide.read_text()
+    assert "|Newton|" in text
+    assert "2026-01-02" in text
+    assert "old" not in text
+    assert text.endswith(f"## Newton\n\n```bash\n{HOSTS['newton'].pip_line}\n```\n\nWords.\n")
+
+
 def test_the_table_has_millimetres_of_the_worst_scene_and_says_what_fails():
     result = Measurement("newton", versions={"newton": "1.8.0"}, moves=MOVES, is_finite=True)
     broken = replace(result, is_finite=False)
