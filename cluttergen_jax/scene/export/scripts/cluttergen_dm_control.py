@@ -65,6 +65,11 @@ class SceneFile:
                 f"no scene {number} in {ROOT}; there are {numbers[0]} to {numbers[-1]}"
             )
         self._root = ET.parse(path).getroot()
+        if self._root.find("contact") is not None:
+            raise ValueError(
+                f"scene {number} has a support whose joints move, which cannot be attached; "
+                "export it without them"
+            )
         self._bodies = {each.get("name"): each for each in self._root.iterfind("worldbody/body")}
         self._assets = list(self._root.find("asset"))
         self.poses = [
