@@ -8,7 +8,10 @@ from typing import get_args
 import pytest
 
 from cluttergen_jax.config import ExportFormat
+from cluttergen_jax.errors import ConfigError
+from studies.hosts import __main__ as program
 from studies.hosts import measurement, page
+from studies.hosts.__main__ import HostsConfig, main
 from studies.hosts.measurement import HostFolder, Measurement, read_measurement
 from studies.hosts.table import HOSTS, Host
 
@@ -153,3 +156,25 @@ def test_a_file_that_is_no_measurement_counts_as_none(tmp_path):
         file.write_text(text)
         assert read_measurement(file) is None
     assert read_measurement(tmp_path / "none.json") is None
+
+
+def test_an_unknown_host_and_strange_numbers_are_refused(tmp_path):
+    for given, said in (
+        ({"hosts": ("newtn",)}, "newton"),
+        ({"num_scenes": 0}, "num_scenes"),
+        ({"seconds": 0.0}, "seconds"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            main(HostsConfig(**given, out=tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
+
+
+def test_hosts_that_fail_make_the_status_and_the_others_are_measured(host, tmp_path, monkeypatch):
+    broken = replace(host, name="broken", python="9.9")
+    for module in (program, page):
+        monkeypatch.setattr(module, "HOSTS", {"broken": broken, "own": host})
+    assert main(HostsConfig(out=tmp_path / "out", num_scenes=3)) == 1
+    results = HostFolder(tmp_path / "out", 3, 10.0, 87).results()
+    assert results["own"].moves == MOVES
+    assert "python9.9" in results["broken"].fault
+    assert main(HostsConfig(hosts=("own",), out=tmp_path / "out", num_scenes=3)) == 0
