@@ -62,7 +62,7 @@ def exporter(scene, tmp_path_factory, **options) -> Callable[[str], Path]:
     def make(format):
         if format not in made:
             made[format] = export_scenes(
-                [scene], tmp_path_factory.mktemp("out") / format, format, **options
+                [scene], tmp_path_factory.mktemp("out") / f"in_{format}", format, **options
             )
         return made[format]
 

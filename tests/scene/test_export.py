@@ -157,7 +157,7 @@ def test_glb_holds_masses_parts_and_linear_colours(folder_of, scene):
 def test_adapters_carry_poses_and_files(folder_of, scene, format):
     folder = folder_of(format)
     record = json.loads((folder / "scenes" / "000000.json").read_text())
-    assert (folder / FORMATS[format].script).is_file()
+    assert all((folder / script).is_file() for script in FORMATS[format].scripts)
     for entry, pose in zip(record["objects"], scene.poses, strict=True):
         assert_same_pose(entry["position"], entry["quaternion_wxyz"], pose)
     for name, own in record["assets"].items():
@@ -205,7 +205,7 @@ def test_convex_parts_of_a_support_go_everywhere(tmp_path, is_drawn):
     for format in (*sorted(set(FORMATS) - {*of_usd, "mjcf-joints"}), *of_usd):
         if format in of_usd:
             pytest.importorskip("pxr", reason="needs the extra usd")
-        folder = export_scenes([scene], tmp_path / format, format)
+        folder = export_scenes([scene], tmp_path / f"in_{format}", format)
         if format.startswith("mjcf") or format == "molmospaces":
             model = mujoco.MjModel.from_xml_path(str(next(folder.glob("scenes/*.xml"))))
             data = mujoco.MjData(model)

@@ -35,7 +35,7 @@ def scene():
 
 def folder_of(scene, kind, tmp_path):
     return (
-        export_scenes([scene], tmp_path / kind, kind),
+        export_scenes([scene], tmp_path / f"in_{kind}", kind),
         scene.objects[0].name,
         scene.objects[1].name,
     )

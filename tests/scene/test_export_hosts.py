@@ -388,8 +388,17 @@ def test_playground_resets_to_scenes(tmp_path):
         # Playground has begun another episode by then.
         assert world["again"] < 1e-6
     slots = max(len(each.names) for each in scenes.successes())
-    size = 22 + 11 * slots
+    # The class that extends the environment observes the time, too, and charges for actions.
+    size = 22 + 11 * slots + 1
     assert told["sizes"] == [8, size, [2, size]]
+    assert told["is_known"]
+    assert told["ppo"]["episode_length"] == 300
+    masses = np.array([world["masses"] for world in told["worlds"]])
+    assert (np.abs(masses[0] - masses[1]) > 0).all()
+    assert (masses >= 0.8 * np.array(told["usual"]) - 1e-6).all()
+    assert (masses <= 1.25 * np.array(told["usual"]) + 1e-6).all()
+    assert told["worlds"][0]["friction"] != told["worlds"][1]["friction"]
+    assert all(-1.0 <= world["reward"] < -0.5 for world in told["worlds"])
     assert told["dt"] == pytest.approx(0.05)
 
 

@@ -127,7 +127,7 @@ def test_a_wrong_format_is_told_apart(asked, said, file, tmp_path):
         ({"ending": ""}, "ending ''"),
         ({"write_scene": None}, "write_scene is None"),
         ({"write_object": 3}, "write_object is 3"),
-        ({"script": "load_pybullet.py"}, "no script"),
+        ({"scripts": ("load_pybullet.py",)}, "no script"),
     ],
 )
 def test_a_wrong_field_of_a_format_is_named(changed, said, file):

@@ -75,7 +75,8 @@ def export_scenes(
       The folder.
 
     Raises:
-      ConfigError: no such format, no such camera, no scenes, scenes that do not go together, or `out` exists;
+      ConfigError: no such format, no such camera, no scenes, scenes that do not go together, or `out` exists,
+        or has a folder in its path that the format's program takes for its own;
         grasps that the format does not take, that cannot be read, or that are of other objects.
       BankError: another export is being written there.
       MissingExtraError: the format needs a package that is not installed.
@@ -83,6 +84,7 @@ def export_scenes(
     """
     kind = find_format(format)
     out = Path(out)
+    _check_path(out, kind)
     if grasps is not None and not kind.takes_grasps:
         allowed = ", ".join(each.name for each in FORMATS.values() if each.takes_grasps)
         raise ConfigError(f"grasps in the format {kind.name!r}", f"grasps with: {allowed}")
@@ -132,6 +134,17 @@ def check_place(out: Path, overwrite: bool) -> None:
     if not (out / MANIFEST).is_file():
         raise ConfigError(
             f"{out} exists and is no export", "a new folder, or an earlier export", "another `out`"
+        )
+
+
+def _check_path(out: Path, kind: Format) -> None:
+    """Refuses a place where the format's program would look for files of its own (ConfigError)."""
+    reserved = kind.reserved_folder
+    if reserved and reserved in out.resolve().parts:
+        raise ConfigError(
+            f"an export as {kind.name} in {out.resolve()}",
+            f"a path without a folder called {reserved!r}, which leads the program to its own files",
+            f"out='in_{kind.name}'",
         )
 
 
@@ -192,11 +205,11 @@ class _Folder:
         assets = list(self._assets.values())
         record = manifest(self._kind, generator_version(), assets, first, self._records)
         self._save(MANIFEST, json.dumps(record, indent=1) + "\n")
-        self._save(LICENCES, licences_text(first.support, assets, self._kind.script))
+        self._save(LICENCES, licences_text(first.support, assets, self._kind.scripts))
         self._save("README.txt", _readme(self._kind, len(self._records), first))
-        if self._kind.script:
-            scripts = importlib.resources.files("cluttergen_jax.scene.export") / "scripts"
-            self._save(self._kind.script, (scripts / self._kind.script).read_text(encoding="utf-8"))
+        folder = importlib.resources.files("cluttergen_jax.scene.export") / "scripts"
+        for script in self._kind.scripts:
+            self._save(script, (folder / script).read_text(encoding="utf-8"))
 
     def _save(self, name: str, text: str) -> None:
         (self._path / name).write_text(text, encoding="utf-8")
@@ -262,7 +275,9 @@ def manifest(
     }
 
 
-def licences_text(support: SupportAsset, assets: Sequence[ObjectAsset], script: str) -> str:
+def licences_text(
+    support: SupportAsset, assets: Sequence[ObjectAsset], scripts: Sequence[str]
+) -> str:
     """Who made what and on which terms, in words, by licence."""
     things = [(f"support {support.name} ({support.label})", support.provenance)]
     things += [(f"object {asset.name} ({asset.label})", asset.provenance) for asset in assets]
@@ -280,7 +295,7 @@ def licences_text(support: SupportAsset, assets: Sequence[ObjectAsset], script: 
             if provenance.attribution:
                 lines.append(f"    attribution: {provenance.attribution}")
         lines.append("")
-    if script:
+    for script in scripts:
         lines += [f"The script {script} is part of cluttergen_jax. Licence: Apache-2.0", ""]
     if "not stated" in by_licence:
         lines += ["Where no licence is stated, ask the owner before you pass it on.", ""]
@@ -363,7 +378,7 @@ def export_bank(
             for path in bank.glob(pattern):
                 copy = shutil.copytree if path.is_dir() else shutil.copy2
                 copy(path, fresh / "bank" / path.name)
-        terms = licences_text(support, objects, kind.script)
+        terms = licences_text(support, objects, (kind.script,))
         if kind.has_robot:
             terms += f"{write_environment(fresh, robot)}\n"
         record = {

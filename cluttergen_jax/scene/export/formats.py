@@ -56,10 +56,12 @@ class Format:
       write_object, write_support: write what all scenes share into a folder, of an asset or the support and
         the contact parameters; None where a scene holds all.
       write_scene: writes a scene's file, of its path and the `Scene`.
-      script: a stand-alone loader that travels along, in `export/scripts`; "" for none.
+      scripts: stand-alone loaders that travel along, in `export/scripts`.
       object_folder: where an object's files lie, relative to the export's folder.
       takes_cameras: cameras are written into what the program reads; else into `scenes/*.json` alone.
       takes_grasps: grasps are written into objects' folders.
+      reserved_folder: a name that no folder on the way to an export may have, since the program takes what
+        follows it for files of its own; "" for none.
       notes: more for the README: the settings that the program needs, and what it takes from the files.
       require: raises MissingExtraError if a package that the format needs is not installed.
     """
@@ -70,10 +72,11 @@ class Format:
     write_object: WriteObject | None
     write_support: WriteSupport | None
     write_scene: WriteScene
-    script: str = ""
+    scripts: tuple[str, ...] = ()
     object_folder: Callable[[ObjectAsset], str] = object_folder
     takes_cameras: bool = True
     takes_grasps: bool = False
+    reserved_folder: str = ""
     notes: str = ""
     require: Callable[[], None] = lambda: None
 
@@ -178,8 +181,11 @@ _USD = Format(
     _usd("write_object_usd"),
     _usd("write_support_usd"),
     _usd("write_scene_usd"),
+    scripts=("cluttergen_isaaclab.py",),
     require=_usd("require_usd"),
     object_folder=usd_folder,
+    notes="Isaac Lab 2.1 to 3.0: from cluttergen_isaaclab import Clutter; its assets() and event() go into "
+    "the configuration of an environment, whose resets put worlds as in scenes. It has not been run there.",
 )
 _ALL = (
     Format(
@@ -189,6 +195,10 @@ _ALL = (
         _write_meshes,
         _write_meshes,
         _scene_writer(_mjcf_text),
+        scripts=("cluttergen_dm_control.py", "cluttergen_newton.py"),
+        notes="dm_control 1.0.50: from cluttergen_dm_control import ClutterArena; ClutterArena(scene=0) is "
+        "an arena for its composer. Newton 1.8: import cluttergen_newton; "
+        "cluttergen_newton.add_worlds(builder, [0, 1]).",
     ),
     Format(
         "mjcf-old",
@@ -217,7 +227,7 @@ _ALL = (
         _files(object_urdf, "urdf"),
         _files(support_urdf, "urdf"),
         _scene_writer(partial(scene_json, ending="urdf")),
-        script="load_pybullet.py",
+        scripts=("load_pybullet.py",),
         takes_cameras=False,
     ),
     Format(
@@ -247,7 +257,7 @@ _ALL = (
         _write_meshes,
         _write_meshes,
         _scene_writer(maniskill_json),
-        script="cluttergen_maniskill.py",
+        scripts=("cluttergen_maniskill.py",),
         takes_cameras=False,
     ),
     Format(
@@ -256,7 +266,8 @@ _ALL = (
         "scene='N').",
         "json",
         *_ROBOSUITE,
-        script="cluttergen_robosuite.py",
+        scripts=("cluttergen_robosuite.py",),
+        reserved_folder="robosuite",
         takes_cameras=False,
     ),
     Format(
@@ -265,7 +276,8 @@ _ALL = (
         "writes LIBERO's task descriptions and initial states.",
         "json",
         *_ROBOSUITE,
-        script="cluttergen_libero.py",
+        scripts=("cluttergen_libero.py",),
+        reserved_folder="robosuite",
         takes_cameras=False,
     ),
     Format(
@@ -276,7 +288,8 @@ _ALL = (
         _files(partial(robosuite_xml, region=True), "xml", "model"),
         _ROBOSUITE[1],
         _scene_writer(partial(scene_json, ending="xml", file_of=_robocasa_file)),
-        script="cluttergen_robocasa.py",
+        scripts=("cluttergen_robocasa.py",),
+        reserved_folder="robosuite",
         takes_cameras=False,
         object_folder=registry_folder,
     ),
@@ -298,7 +311,7 @@ _ALL = (
         opens_in="Isaac Lab-Arena 0.4: cluttergen_arena.register() once Isaac has started, then "
         "environment_runner.py --env_spec layouts/NAME.yaml --placement_layouts layouts/NAME.jsonl.",
         write_scene=_usd("write_scene_arena"),
-        script="cluttergen_arena.py",
+        scripts=("cluttergen_arena.py",),
         notes="Scenes of the same objects are rows of the same file.",
     ),
 )
@@ -383,10 +396,10 @@ def _check_own(format: object) -> None:
     for field, writer in writers.items():
         if not callable(writer) and (writer is not None or field == "write_scene"):
             raise ConfigError(f"a format whose {field} is {writer!r}", "a function")
-    if format.script and is_own(format):
+    if format.scripts and is_own(format):
         raise ConfigError(
-            f"a format of your own with script {format.script!r}",
-            "no script: those that travel along are this package's",
+            f"a format of your own with scripts {format.scripts!r}",
+            "no scripts: those that travel along are this package's",
             "write_scene, which may write more files beside the scene's",
         )
 

@@ -1,0 +1,94 @@
+"""Exported scenes in Newton: each is a world of its own, with other objects in each.
+
+    import newton, cluttergen_newton           # Newton 1.8 with newton[sim], trimesh and scipy
+
+    builder = newton.ModelBuilder()
+    worlds = cluttergen_newton.add_worlds(builder, [0, 1])       # worlds[0]["mug"]: a body's number
+    model = builder.finalize()
+    solver = cluttergen_newton.make_solver(model)
+
+newton[sim] 1.8 wants MuJoCo 3.17, not 4. Scenes are added with `collapse_fixed_joints`: a support that is a
+body of its own is filtered against the floor, and with such filters Newton takes 256 shapes at most ("The
+heterogeneous geom collision graph exceeds the MuJoCo mask compiler's capacity").
+"""
+
+import warnings
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import newton
+
+ROOT = Path(__file__).resolve().parent
+KNOWN = {"newton": ("1.8.",), "mujoco": ("3.17.",)}
+"""How the versions begin that this was run with."""
+_CONTACTS = 40
+_ROWS = 150
+"""Room for contacts and rows of constraints, for each object of a world."""
+
+
+def _check_versions():
+    for package, known in KNOWN.items():
+        try:
+            found = version(package)
+        except PackageNotFoundError:
+            found = "of no known version"
+        if not found.startswith(known):
+            warnings.warn(
+                f"{package} {found}; known: {', '.join(each.rstrip('.') for each in known)}. "
+                "Try: pip install 'newton[sim]==1.8.0' trimesh scipy",
+                stacklevel=3,
+            )
+
+
+_check_versions()
+
+
+def scene_numbers():
+    """The numbers of all scenes in the folder."""
+    return sorted(int(path.stem) for path in (ROOT / "scenes").glob("*.xml"))
+
+
+def add_worlds(builder, numbers=None, robot=None):
+    """Adds a world for each scene, all of the same number of objects, whichever these are.
+
+    Args:
+      builder: a `newton.ModelBuilder`, on which no custom attributes need be registered.
+      numbers: of the scenes; all if not given.
+      robot: a builder whose bodies are added to each world, before the scene's.
+
+    Returns:
+      For each world, the number of the body of each object, by name.
+    """
+    newton.solvers.SolverMuJoCo.register_custom_attributes(builder)
+    numbers = scene_numbers() if numbers is None else list(numbers)
+    worlds = []
+    for number in numbers:
+        path = ROOT / "scenes" / f"{number:06d}.xml"
+        if not path.is_file():
+            known = scene_numbers()
+            raise ValueError(f"no scene {number} in {ROOT}; there are {known[0]} to {known[-1]}")
+        world = newton.ModelBuilder()
+        newton.solvers.SolverMuJoCo.register_custom_attributes(world)
+        if robot is not None:
+            world.add_builder(robot)
+        scene = newton.ModelBuilder()
+        newton.solvers.SolverMuJoCo.register_custom_attributes(scene)
+        scene.add_mjcf(str(path), parse_visuals=False, collapse_fixed_joints=True)
+        first = builder.body_count + world.body_count
+        names = [label.rsplit("/", 1)[-1] for label in scene.body_label]
+        worlds.append({name: first + place for place, name in enumerate(names)})
+        if len(worlds[0]) != len(names):
+            raise ValueError(
+                f"scene {number} has {len(names)} objects and scene {numbers[0]} {len(worlds[0])}: Newton's "
+                "worlds have the same number of bodies; add those of one number"
+            )
+        world.add_builder(scene)
+        builder.add_world(world)
+    return worlds
+
+
+def make_solver(model, **options):
+    """A `SolverMuJoCo` with room for the contacts of the scenes; options: its own, which go before."""
+    num_bodies = model.body_count // max(1, model.world_count)
+    room = {"nconmax": _CONTACTS * num_bodies, "njmax": _ROWS * num_bodies}
+    return newton.solvers.SolverMuJoCo(model, **{**room, **options})
