@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 ENDINGS = (".yaml", ".yml")
 _SAID = "which the layout says"
 _OF_LAYOUT = dict.fromkeys(("objects", "num_objects", "relations", "roles", "repeat"), _SAID)
-_OF_LAYOUT |= dict.fromkeys(("shelf", "weights", "balance", "start"), "which no layout has")
+_OF_LAYOUT |= dict.fromkeys(("sets", "shelf", "weights", "balance", "start"), "which no layout has")
 """Fields of a `SceneSpec` that are not given beside the sentence, and why."""
 
 
