@@ -224,9 +224,9 @@ class SceneSpec(PlacementRequest):
       exclude: the pool's objects to leave out, told in the same ways; exclude=("mug",) is the same as
         pool="dining~mug".
       num_objects: objects per scene, 1 to 128; all of the pool's (40 at most) if not given.
-      sets: K sets of objects, with as many layouts of each: scene i has the objects of set i modulo K, drawn as
-        those of a scene; of a large pool all from one shelf. The number of scenes must be a multiple of K. If
-        not given: each scene draws its own. Trainers whose worlds keep their objects need it.
+      sets: so many sets of objects, with as many layouts of each, for trainers whose worlds keep their
+        objects: scene i has those of set i modulo `sets`, of a large pool all from one shelf. The number of
+        scenes must be a multiple. If not given: each scene draws its own objects.
       repeat: allow duplicates: an object may be placed more than once.
       shelf: of a pool with very many objects each block of 256 scenes draws so many for its own, and each
         of its scenes some of those; 1 to 200. If not given: no such drawing from up to 200 objects, 64 of

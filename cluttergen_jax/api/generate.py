@@ -68,9 +68,9 @@ def generate(
 ) -> GeneratedBank:
     """Samples scenes and saves them as a bank, failures included; `cluttergen generate`.
 
-    The same call continues an interrupted one, and mends what is damaged. Without `sets` scene i of it is what
-    `make_sampler` makes of the key `jax.random.fold_in(jax.random.key(seed), i)`. The arguments that are not
-    explained here are those of `SceneSpec`.
+    The same call continues an interrupted one, and mends what is damaged. Scene i of it is what
+    `make_sampler` makes of the key `jax.random.fold_in(jax.random.key(seed), i)`, but for `sets`. The
+    arguments that are not explained here are those of `SceneSpec`.
 
     Args:
       out: the bank's folder, or a URL such as s3://bucket/name; an interrupted bank is continued.

@@ -123,7 +123,7 @@ class BlockSampler(struct.PyTreeNode, eq=False):
 
 
 FIRST_SET = np.uint32(2**31)
-"""Folded into a bank's key, with a set's number added, for what draws its objects; no scene has this number."""
+"""Folded into a bank's key, with a set's number added, for what draws its objects; no scene has it."""
 
 MAX_PROGRAMS = 16
 """Compiled steps that are kept: a program takes a few hundred of the 65,530 mappings of memory that Linux
