@@ -28,7 +28,7 @@ _HOST = (1, 6)
 _FAULTS = {
     "mujoco-warp": (
         (3, 16),
-        "with the elliptic cone things at rest turn into NaN (mujoco_warp#1657); simulation() has the pyramidal",
+        "with the elliptic cone things at rest turn into NaN (mujoco_warp#1657); simulation() takes another",
     )
 }
 """Of packages that mjlab brings: the first version without a fault, and what it is."""
