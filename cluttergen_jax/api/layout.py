@@ -23,7 +23,7 @@ _OF_LAYOUT |= dict.fromkeys(("sets", "shelf", "weights", "balance", "start"), "w
 """Fields of a `SceneSpec` that are not given beside the sentence, and why."""
 
 
-@takes_spec()
+@takes_spec({"sets": "of which a layout is none"})
 def check_layout(layout: str | Path, **options: Unpack[SceneOptions]) -> LayoutCheck:
     """Finds all that is wrong with a layout at once; `cluttergen layout check`.
 
