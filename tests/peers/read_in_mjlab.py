@@ -69,7 +69,7 @@ touching = (model.geom_contype > 0) & (model.geom_type == mujoco.mjtGeom.mjGEOM_
 
 
 def seen_colour(world, body):
-    """The colour of the last piece of a body that is seen."""
+    """The colour of the first piece of a body that is seen."""
     shown = (model.geom_bodyid == body) & (model.geom_contype == 0) & (meshes[world] >= 0)
     if not shown.any():
         return []

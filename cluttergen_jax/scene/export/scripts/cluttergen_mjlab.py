@@ -19,6 +19,7 @@ import math
 import re
 import sys
 import warnings
+from dataclasses import replace
 from functools import partial
 from importlib import metadata
 from pathlib import Path
@@ -138,6 +139,10 @@ class Clutter:
     def __deepcopy__(self, memo):
         # mjlab copies configurations whole; this never changes.
         return self
+
+    def __reduce__(self):
+        # mjlab's training writes configurations down.
+        return Clutter, (str(self.bank.path.resolve()),)
 
     def entities(self, stand=None):
         """The support and an entity for each slot, by name, for `SceneCfg.entities`.
@@ -356,7 +361,10 @@ def _lift_cfg(clutter, cfg):
     stand = clutter.robot_pose()
     cfg.scene.entities.pop("cube")
     robot = cfg.scene.entities["robot"]
-    robot.init_state.pos, robot.init_state.rot = stand
+    (x, y, top), turn = stand
+    # mjlab's other tasks share this record, which lifts the base a little.
+    home = robot.init_state
+    robot.init_state = replace(home, pos=(x, y, top + home.pos[2]), rot=turn)
     cfg.scene.entities |= clutter.entities(stand)
     cfg.scene.env_spacing = 3.0
     cfg.events |= clutter.events()
@@ -368,7 +376,6 @@ def _lift_cfg(clutter, cfg):
     lift.object_pose_range = None
     region = clutter.bank.region
     x, y = region["center"]
-    top = stand[0][2]
     side = 0.5 * min(region["half_extents"])
     goal = lift.target_position_range
     goal.x = (x - side, x + side)
