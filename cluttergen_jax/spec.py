@@ -96,6 +96,7 @@ class ObjectOptions(TypedDict, total=False):
     objects: Sequence[str]
     exclude: Sequence[str]
     num_objects: int | None
+    sets: int | None
     repeat: bool
     shelf: int | None
     weights: str | Mapping[str, float]
@@ -223,6 +224,9 @@ class SceneSpec(PlacementRequest):
       exclude: the pool's objects to leave out, told in the same ways; exclude=("mug",) is the same as
         pool="dining~mug".
       num_objects: objects per scene, 1 to 128; all of the pool's (40 at most) if not given.
+      sets: so many sets of objects, with as many layouts of each, for trainers whose worlds keep their
+        objects: scene i has those of set i modulo `sets`, of a large pool all from one shelf. The number of
+        scenes must be a multiple. If not given: each scene draws its own objects.
       repeat: allow duplicates: an object may be placed more than once.
       shelf: of a pool with very many objects each block of 256 scenes draws so many for its own, and each
         of its scenes some of those; 1 to 200. If not given: no such drawing from up to 200 objects, 64 of
@@ -351,7 +355,7 @@ class SceneSpec(PlacementRequest):
     def __post_init__(self) -> None:
         from cluttergen_jax.assets.support import Rectangle, parse_boxes
 
-        for name in ("num_objects", "shelf", "max_attempts", "ruin_after", "budget"):
+        for name in ("num_objects", "sets", "shelf", "max_attempts", "ruin_after", "budget"):
             check_whole(**{name: getattr(self, name)})
         check_workers("num_threads", self.num_threads)
         check_engine(self.engine)
@@ -620,6 +624,17 @@ class SceneSpec(PlacementRequest):
             return None
         return find_pool(self.pool_text)
 
+    def check_num_scenes(self, num_scenes: int) -> None:
+        """Refuses scenes that are not as many of each set (ConfigError)."""
+        if not self.sets or num_scenes % self.sets == 0:
+            return
+        most = max(num_scenes // self.sets, 1) * self.sets
+        raise ConfigError(
+            f"num_scenes = {num_scenes} of sets = {self.sets}, which would not have as many layouts each",
+            f"a multiple of {self.sets}",
+            f"num_scenes={most}, {most // self.sets} of each set",
+        )
+
     def boxes(self) -> list[Rectangle]:
         """The keep-out boxes."""
         from cluttergen_jax.assets.support import parse_boxes
@@ -645,7 +660,7 @@ class SceneSpec(PlacementRequest):
         from cluttergen_jax.assets.support_file import find_support
         from cluttergen_jax.physics import engine_of
         from cluttergen_jax.placement.problem import ProblemConfig
-        from cluttergen_jax.placement.room import check_number
+        from cluttergen_jax.placement.room import check_number, check_sets
 
         if self.seat != DEFAULTS["seat"] and not self.natural:
             given = f"seat = {self.seat!r} of scenes that are not natural"
@@ -691,6 +706,7 @@ class SceneSpec(PlacementRequest):
                 raise ConfigError(given, f"{total}, as they add up to", f"num_objects={total}")
             num_objects = total
         check_number(num_objects, available, pool, self.repeat)
+        check_sets(self.sets, num_objects, available, self.repeat)
         region = self.region
         polygon: Ring = ()
         if isinstance(region, str):

@@ -28,7 +28,7 @@ _NOT_BY_HAND = {
         _PERSON,
     ),
     **dict.fromkeys(
-        ("order", "max_attempts", "ruin_after", "budget"), f"{_PERSON}, as often as wanted"
+        ("order", "sets", "max_attempts", "ruin_after", "budget"), f"{_PERSON}, as often as wanted"
     ),
     **dict.fromkeys(
         ("shelf", "weights", "balance", "surface", "start"), "where one world is opened"
@@ -69,15 +69,15 @@ def generate(
     """Samples scenes and saves them as a bank, failures included; `cluttergen generate`.
 
     The same call continues an interrupted one, and mends what is damaged. Scene i of it is what
-    `make_sampler` makes of the key `jax.random.fold_in(jax.random.key(seed), i)`. The arguments that are not
-    explained here are those of `SceneSpec`.
+    `make_sampler` makes of the key `jax.random.fold_in(jax.random.key(seed), i)`, but for `sets`. The
+    arguments that are not explained here are those of `SceneSpec`.
 
     Args:
       out: the bank's folder, or a URL such as s3://bucket/name; an interrupted bank is continued.
       spec: what is asked for, or a pool's name.
       layout: what shall stand where: a YAML file, or a name of `cluttergen list`, such as breakfast_for_two
         (`layout.read`); other options that are not at their defaults go before what it says.
-      num_scenes: scenes to make, failures counted.
+      num_scenes: scenes to make, failures counted; with `sets` a multiple of them.
       seed: the same seed makes the same scenes, 0 to 4294967295.
       render: draw a picture of each scene that gets a file.
       max_files: the first so many scenes get an MJCF file each (and a picture) if they succeed.
@@ -112,6 +112,7 @@ def generate(
     asked = spec_of(generate, spec, options)
     check_range("num_scenes", num_scenes, 1, MAX_SCENES, 20)
     check_range("seed", seed, 0, _MOST, 0)
+    asked.check_num_scenes(num_scenes)
     if max_files < 0:
         raise ConfigError(f"max_files = {max_files}", "0 or more", "max_files=0 for none")
     return write_bank(

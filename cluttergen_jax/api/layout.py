@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 ENDINGS = (".yaml", ".yml")
 _SAID = "which the layout says"
 _OF_LAYOUT = dict.fromkeys(("objects", "num_objects", "relations", "roles", "repeat"), _SAID)
-_OF_LAYOUT |= dict.fromkeys(("shelf", "weights", "balance", "start"), "which no layout has")
+_OF_LAYOUT |= dict.fromkeys(("sets", "shelf", "weights", "balance", "start"), "which no layout has")
 """Fields of a `SceneSpec` that are not given beside the sentence, and why."""
 
 
-@takes_spec()
+@takes_spec({"sets": "of which a layout is none"})
 def check_layout(layout: str | Path, **options: Unpack[SceneOptions]) -> LayoutCheck:
     """Finds all that is wrong with a layout at once; `cluttergen layout check`.
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.learning.training.train import TrainConfig
 
 _NOT_TAKEN = {
-    **dict.fromkeys(("shelf", "weights", "balance"), "where a policy learns in one world"),
+    **dict.fromkeys(("sets", "shelf", "weights", "balance"), "where a policy learns in one world"),
     **dict.fromkeys(("keep_out", "start"), "where every episode begins on an empty support"),
     "setting": "where rules that are not given are those of the preset",
     **dict.fromkeys(("height", *TARGETS, "clearance", "crowd"), "of methods that are not trained"),

@@ -28,7 +28,7 @@ _SUPPORTS = ("table",)
 _ROWS = {
     name: f"each row has its own: {name}s=(...), or a `spec` for all rows"
     for name in ("pool", "support", "method")
-}
+} | {"sets": "which scenes of a bank have"}
 """Fields of a `SceneSpec` that are no keywords of `evaluate`, and why."""
 
 

@@ -40,6 +40,7 @@ _NOT_TAKEN = {
     **dict.fromkeys(
         ("shelf", "weights", "balance"), "by which blocks draw worlds: an environment is one world"
     ),
+    "sets": "which scenes of a bank have",
     "poses": "of which observations, clouds of upright objects, show nothing",
 }
 """Fields of a `SceneSpec` that an environment does not take, and why."""

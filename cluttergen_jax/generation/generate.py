@@ -42,7 +42,7 @@ from cluttergen_jax.placement.rollout import (
 )
 from cluttergen_jax.placement.room import USUALLY_PACKED, area_of, crowding, share_packed
 from cluttergen_jax.placement.scenes import SceneBatch
-from cluttergen_jax.placement.shelves import ShelfWorlds, Shelves, shelf_key
+from cluttergen_jax.placement.shelves import ShelfWorlds, Shelves
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.scene.bank import Bank, BankWriter, read_bank
 from cluttergen_jax.scene.bank.card import write_card
@@ -343,7 +343,7 @@ class _ShelvedBlocks(Sequence[tuple[Block, tuple[ObjectAsset, ...], np.ndarray]]
 
     def __getitem__(self, place: Any) -> Any:
         block = self._blocks[place]
-        names = self._shelves.draw(shelf_key(self._seed, block[0]))
+        names = self._shelves.names_of_block(self._seed, block[0])
         return (
             block,
             tuple(self._shelves.pool[name] for name in names),

@@ -414,7 +414,7 @@ MAX_RETRIES = 10_000
 
 
 @with_own_settings
-@takes_spec()
+@takes_spec({"sets": "by which a scene's number in a bank says its objects, and a key has none"})
 def make_sampler(
     spec: SceneSpec | str | Path | None = None,
     *,

@@ -35,6 +35,7 @@ MAX_SLOTS = 128
 MOST_UNASKED = 40
 """Objects of a scene, at most, where no number is given."""
 MAX_ATTEMPTS = 10
+MAX_SETS = 1_000_000
 MAX_MARGIN = 0.1
 MIN_MARGIN = 0.003
 """Metres of support margin that what is generated has by default (`PlacementConfig.min_margin`)."""
@@ -81,6 +82,7 @@ class PlacementRequest:
     """
 
     num_objects: int | None = None
+    sets: int | None = None
     max_attempts: int = 5
     containment: Containment = "center"
     order: Order | None = None
@@ -145,6 +147,14 @@ class PlacementConfig(PlacementRequest):
     def __post_init__(self) -> None:
         if not 1 <= self.num_objects <= MAX_SLOTS:
             raise ConfigError(f"num_objects = {self.num_objects}", f"1 to {MAX_SLOTS}")
+        if self.sets is not None and not 1 <= self.sets <= MAX_SETS:
+            raise ConfigError(f"sets = {self.sets}", f"1 to {MAX_SETS}", "sets=32")
+        if self.sets is not None and self.order == "fixed":
+            raise ConfigError(
+                f"sets = {self.sets} with order = 'fixed', by which all scenes have the same objects",
+                "another order, or no sets",
+                "order='random'",
+            )
         if not 1 <= self.max_attempts <= MAX_ATTEMPTS:
             raise ConfigError(f"max_attempts = {self.max_attempts}", f"1 to {MAX_ATTEMPTS}", "5")
         if not 0 <= self.history_stride <= 240:

@@ -84,7 +84,15 @@ class BlockSampler(struct.PyTreeNode, eq=False):
         """Episodes for scene indices i32[N]; those not wanted (bool[N]) are over before they start."""
         keys = jax.vmap(lambda index: jax.random.fold_in(key, index))(indices)
         begin = partial(self.rules.begin, keep_out=self.keep_out, start=self.start)
-        episodes = jax.vmap(begin)(keys)
+        if num_sets := self.rules.config.sets:
+            # Scenes of a set draw their objects with the same key.
+            numbers = FIRST_SET + (jnp.asarray(indices) % num_sets).astype(jnp.uint32)
+            keys_objects = jax.vmap(lambda number: jax.random.fold_in(key, number))(numbers)
+            episodes = jax.vmap(lambda own, drawn: begin(own, key_objects=drawn))(
+                keys, keys_objects
+            )
+        else:
+            episodes = jax.vmap(begin)(keys)
         return episodes.replace(is_over=~is_wanted)
 
     def step(self, episodes: Episode) -> tuple[Episode, Transition]:
@@ -113,6 +121,9 @@ class BlockSampler(struct.PyTreeNode, eq=False):
         )
         return self.finish(episodes)
 
+
+FIRST_SET = np.uint32(2**31)
+"""Folded into a bank's key, with a set's number added, for what draws its objects; no scene has it."""
 
 MAX_PROGRAMS = 16
 """Compiled steps that are kept: a program takes a few hundred of the 65,530 mappings of memory that Linux

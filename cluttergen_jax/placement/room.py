@@ -64,6 +64,19 @@ def check_number(wanted: int, available: int, pool: str, repeat: bool = False) -
         )
 
 
+def check_sets(num_sets: int | None, num_objects: int, available: int, repeat: bool) -> None:
+    """Refuses more sets of objects than there are different ones (ConfigError)."""
+    if num_sets is None:
+        return
+    most = math.comb(available + num_objects - 1 if repeat else available, num_objects)
+    if num_sets > most:
+        raise ConfigError(
+            f"{num_sets} sets of {num_objects} of {available} objects",
+            range_text(1, most),
+            "fewer sets, more `objects`, or another `num_objects`",
+        )
+
+
 def check_left(
     wanted: int, left: Sequence[ObjectAsset], notes: Sequence[str], repeat: bool = False
 ) -> None:

@@ -278,6 +278,7 @@ class Rules(struct.PyTreeNode, eq=False):
         region: Region | None = None,
         keep_out: KeepOut | None = None,
         start: Start | None = None,
+        key_objects: Array | None = None,
     ) -> Episode:
         """A new episode on an empty support, or around objects that already stand there.
 
@@ -286,19 +287,23 @@ class Rules(struct.PyTreeNode, eq=False):
           region: where to place; the default region, or a drawn one, if None.
           keep_out: where not to place.
           start: objects that already stand; they count as neighbours and are not drawn again.
+          key_objects: draws which objects are placed: all episodes with this key have the same. `key` draws
+            them if None, and else their order alone.
         """
         key_order, key_episode = jax.random.split(key)
+        key_chosen = None if key_objects is None else jax.random.split(key_objects)[0]
         start = Start.empty(self.geometry.num_objects) if start is None else start
         first_slot = start.is_placed.sum().astype(jnp.int32)
         if region is None and self.draw_region is not None:
             # Orders are those of unchanged regions; `fold_in` of 0 or 1 would be a key of the split again.
             region = self.draw_region(jax.random.fold_in(key, 2))
-        roles = None if self.related is None else self.related.draw(jax.random.fold_in(key, 4))
+        key_roles = jax.random.fold_in(key if key_objects is None else key_objects, 4)
+        roles = None if self.related is None else self.related.draw(key_roles)
         episode = Episode(
             key=key_episode,
             region=self.region if region is None else region,
             keep_out=no_keep_out() if keep_out is None else keep_out,
-            object_index=self._draw_slots(key_order, start.is_placed, roles),
+            object_index=self._draw_slots(key_order, start.is_placed, roles, key_chosen),
             first_slot=first_slot,
             slot=first_slot,
             attempt=jnp.int32(0),
@@ -330,26 +335,25 @@ class Rules(struct.PyTreeNode, eq=False):
         episode = self._with_surface(episode, jax.random.fold_in(key, 5))
         return self._with_orientation(episode, jax.random.fold_in(key, 3))
 
-    def _draw_slots(self, key: Array, is_taken: Array, roles: Array | None) -> Array:
+    def _draw_slots(
+        self, key: Array, is_taken: Array, roles: Array | None, key_chosen: Array | None
+    ) -> Array:
         """i32[S]: the objects that stand, then those to place, then -1 for slots without an object.
 
         Those to place are a uniform subset of the objects not taken, whatever their order but "fixed"; those
         of roles are among them and come first, each after those to which it is placed. Where objects are to
         be inside of others, so many that fit are among them, and what they fit into comes first.
+
+        Args:
+          key_chosen: draws which are placed, where `key` draws their order alone; `key` draws both if None.
         """
-        ranks = jnp.arange(self.geometry.num_objects, dtype=jnp.float32)
-        if self.config.order != "fixed":
-            ranks = jax.random.uniform(key, ranks.shape)
-        if self.natural is not None:
-            ranks = jnp.where(self.natural.on_table, ranks, ranks + len(ranks))
-        ranks = jnp.where(is_taken, jnp.inf, ranks)
-        if roles is not None:
-            ranks = ranks.at[roles].set(-1.0)
+        key_drawn = key if key_chosen is None else key_chosen
+        ranks = self._ranks(key_drawn, is_taken, roles)
         is_container = None
         if self.num_contained and self.config.order != "fixed":
             # No search finds room inside of others where nothing that is drawn fits into anything.
             is_content, is_container = draw_contents(
-                jax.random.fold_in(key, 6),
+                jax.random.fold_in(key_drawn, 6),
                 self.geometry,
                 is_taken,
                 self.num_contained,
@@ -358,6 +362,10 @@ class Rules(struct.PyTreeNode, eq=False):
             ranks = jnp.where((is_content | is_container) & ~is_taken, ranks - 1.0, ranks)
         chosen = jnp.argsort(ranks)[: self.config.num_objects].astype(jnp.int32)
         chosen = jnp.where(jnp.isfinite(ranks[chosen]), chosen, -1)
+        if key_chosen is not None:
+            # The same objects, in an order of this scene's own; -1 last, as above.
+            own = self._ranks(key, is_taken, roles)
+            chosen = chosen[jnp.argsort(jnp.where(chosen < 0, jnp.inf, own[chosen]))]
         if self.config.order in ("largest", "weighted"):
             chosen = chosen[jnp.argsort(-self._order_weight(key)[chosen])]
         if is_container is not None:
@@ -368,6 +376,16 @@ class Rules(struct.PyTreeNode, eq=False):
         slots = jnp.concatenate([standing, chosen])
         slots = jnp.pad(slots, (0, self.num_slots - slots.shape[0]), constant_values=-1)
         return slots[jnp.argsort(slots < 0, stable=True)]
+
+    def _ranks(self, key: Array, is_taken: Array, roles: Array | None) -> Array:
+        """f32[K]: the objects of the lowest ranks are placed, in the order of their ranks; inf: never."""
+        ranks = jnp.arange(self.geometry.num_objects, dtype=jnp.float32)
+        if self.config.order != "fixed":
+            ranks = jax.random.uniform(key, ranks.shape)
+        if self.natural is not None:
+            ranks = jnp.where(self.natural.on_table, ranks, ranks + len(ranks))
+        ranks = jnp.where(is_taken, jnp.inf, ranks)
+        return ranks if roles is None else ranks.at[roles].set(-1.0)
 
     @property
     def num_contained(self) -> int:

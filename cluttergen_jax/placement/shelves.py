@@ -295,9 +295,13 @@ class Shelves:
         """i32[N]: objects of the pool by their numbers in it."""
         return np.array([self._numbers[name] for name in names], np.int32)
 
+    def names_of_block(self, seed: int, block: int) -> tuple[str, ...]:
+        """The names of the objects of a bank's block; sets of objects are drawn from the first block's."""
+        return self.draw(shelf_key(seed, 0 if self.config.placement.sets else block))
+
     def block(self, seed: int, block: int) -> Setup:
         """The problem of the scenes of a bank's block."""
-        return self.setup(self.draw(shelf_key(seed, block)))
+        return self.setup(self.names_of_block(seed, block))
 
     def setup(self, names: tuple[str, ...]) -> Setup:
         """The problem of these objects, as many as a shelf has (PoolError: one is damaged)."""

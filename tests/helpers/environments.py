@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 PEERS = Path(__file__).parents[1] / "peers"
 
 
@@ -20,15 +22,29 @@ def peer_python(peer: str, folder: Path, *packages: str, alone: Sequence[str] = 
     )
 
 
+def named_python(peer: str) -> str:
+    """The interpreter that CLUTTERGEN_PEER_PYTHON names, of an environment too large to make for a test."""
+    python = os.environ.get(f"CLUTTERGEN_{peer.upper()}_PYTHON")
+    if not python:
+        pytest.skip(
+            f"CLUTTERGEN_{peer.upper()}_PYTHON names no interpreter that has {peer} and pyarrow"
+        )
+    return python
+
+
 def ask_peer(peer: str, python: str, *words: object, seconds: float = 280) -> dict[str, Any]:
-    """What the script of a peer prints last: JSON."""
+    """What the script of a peer prints last: JSON, in which every number must be finite."""
     command = [python, str(PEERS / f"read_in_{peer}.py"), *map(str, words)]
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     ran = subprocess.run(
         command, capture_output=True, text=True, env=environment, check=False, timeout=seconds
     )
     assert ran.returncode == 0, ran.stderr[-3000:]
-    return json.loads(ran.stdout.splitlines()[-1])
+    return json.loads(ran.stdout.splitlines()[-1], parse_constant=_refuse)
+
+
+def _refuse(constant: str) -> None:
+    raise AssertionError(f"a number that is told is {constant}")
 
 
 def python_with(folder: Path, *packages: str, alone: Sequence[str] = ()) -> Path:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pyarrow as pa
 
+from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.pool import find_pool
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.assets.support_file import find_support
@@ -107,9 +108,11 @@ def row_of(scene, index, is_success):
     }
 
 
-def fourteen_scenes(path: Path) -> Path:
+def fourteen_scenes(
+    path: Path, objects_of: Callable[[int], Sequence[ObjectAsset]] = lambda index: trio()
+) -> Path:
     """A bank of which every fifth scene failed; what made them is made up, the scenes stand."""
-    scenes = [spread(trio(), cuboid_table(), turn=0.2 * index) for index in range(14)]
+    scenes = [spread(objects_of(index), cuboid_table(), turn=0.2 * index) for index in range(14)]
     recipe = {
         "pool": "somewhere/trio",
         "method": "random",
@@ -120,7 +123,7 @@ def fourteen_scenes(path: Path) -> Path:
         "versions": {"mujoco": mujoco.__version__},
     }
     rows = [row_of(scene, index, index % 5 != 4) for index, scene in enumerate(scenes)]
-    assets = {asset.name: asset for asset in trio()}
+    assets = {asset.name: asset for scene in scenes for asset in scene.objects}
     with BankWriter(path, recipe, len(rows), assets, cuboid_table()) as writer:
         writer.write_block(0, pa.Table.from_pylist(rows, schema=SCHEMA))
     (path / "scenes").mkdir(exist_ok=True)

@@ -5,7 +5,6 @@ the test. `tests/peers` holds what runs there; RoboCasa, which no index has, is 
 """
 
 import json
-import os
 import runpy
 import sys
 from dataclasses import replace
@@ -30,10 +29,9 @@ from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.scene import Origin
 from cluttergen_jax.scene.export import export_scenes
 from tests.helpers.drawing import needs_gl
-from tests.helpers.environments import ask_peer, peer_python
+from tests.helpers.environments import ask_peer, named_python, peer_python
 from tests.helpers.exports import assert_same_pose, fourteen_scenes, matrix, spread
 from tests.helpers.placing import write_bank
-from tests.helpers.worlds import trio
 
 ROOT = Path(__file__).parents[2]
 
@@ -334,39 +332,6 @@ def test_a_bank_goes_with_its_script(bank, tmp_path):
     assert not (tmp_path / "other").exists()
 
 
-def named(peer):
-    """The interpreter of an environment that is too large to be made for a test."""
-    python = os.environ.get(f"CLUTTERGEN_{peer.upper()}_PYTHON")
-    if not python:
-        pytest.skip(
-            f"CLUTTERGEN_{peer.upper()}_PYTHON names no interpreter that has {peer} and pyarrow"
-        )
-    return python
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(1800)
-def test_mjlab_worlds_are_scenes(bank, tmp_path):
-    """Worlds of other objects each, and worlds of the same objects, which are drawn among all scenes."""
-    python = named("mjlab")
-    options = {"pool": "dining", "num_objects": 3, "num_scenes": 6, "seed": 1}
-    other = cg.generate(tmp_path / "bank", **options, render=False).path
-    masses = {asset.name: asset.mass for asset in (*find_pool("dining").objects, *trio())}
-    for path, num_sets in ((other, 3), (bank, 1)):
-        folder = cg.export(path, tmp_path / f"{num_sets}", "mjlab")
-        told = ask_peer("mjlab", python, folder, 3, 60, seconds=500)
-        scenes = [dict(zip(each.names, each.poses, strict=True)) for each in Bank(path)]
-        for world in told["worlds"]:
-            same = [each for each in scenes if set(each) == set(world["objects"])]
-            wanted = [[each[name] for name in world["objects"]] for each in same]
-            assert min(np.abs(np.array(wanted) - world["poses"]).max((1, 2))) < 1e-5
-            assert world["mass"] == pytest.approx(
-                [masses[name] for name in world["objects"]], rel=1e-5
-            )
-            assert max(world["shift"]) < 0.002
-        assert len({tuple(world["objects"]) for world in told["worlds"]}) == num_sets
-
-
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_playground_resets_to_scenes(tmp_path):
@@ -407,7 +372,7 @@ def test_playground_resets_to_scenes(tmp_path):
 @pytest.mark.timeout(1800)
 def test_lerobot_makes_environments_of_a_folder(tmp_path):
     """LeRobot's own `make_env`, beside its MuJoCo; the same episodes as in `robot.make_env`."""
-    python = named("lerobot")
+    python = named_python("lerobot")
     bank = write_bank(tmp_path / "bank").path
     tasks = ("place", "grasp", "rearrange")
     actions = np.random.default_rng(0).uniform(-0.3, 0.3, (3, 12, 8)).astype(np.float32)

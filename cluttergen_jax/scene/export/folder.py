@@ -323,7 +323,7 @@ _ALL = (
     BankFormat(
         "mjlab",
         "mjlab 1.6: from cluttergen_mjlab import Clutter; its entities(), events() and simulation() go into "
-        "the configuration of an environment.",
+        "the configuration of an environment. Or: python cluttergen_mjlab.py train Cluttergen-Lift-Yam.",
         "cluttergen_mjlab.py",
     ),
     BankFormat(
