@@ -29,6 +29,8 @@ def export(
     *,
     scenes: Sequence[int] | str | None = None,
     cameras: Sequence[CameraName] = (),
+    old_mujoco: bool = False,
+    joints: bool = False,
     grasps: str | Path | None = None,
     look: str | Path = "plain",
     overwrite: bool = False,
@@ -39,14 +41,15 @@ def export(
       source: a bank; or one scene of it: BANK:INDEX, or its file BANK/scenes/000003.xml. In Python also a
         `Bank`, a `Scene`, or several that share support, contact parameters and time step.
       out: the folder to make.
-      format: "mjcf" (MuJoCo), "mjcf-old" (MuJoCo before 3.2.3), "mjcf-joints" (drawers and
-        doors of the support can move), "urdf" (PyBullet), "sdf" (Drake, Gazebo),
-        "usd" (Isaac, Omniverse), "glb" (any viewer), "maniskill", "robosuite", "libero", "robocasa",
-        "molmospaces" or "arena" (Isaac Lab-Arena). "mjlab", "playground" (MuJoCo Playground) and "lerobot"
+      format: "mjcf" (MuJoCo), "urdf" (PyBullet), "sdf" (Drake, Gazebo), "usd" (Isaac, Omniverse), "glb" (any
+        viewer), "maniskill", "robosuite", "libero", "robocasa", "molmospaces", "moveit" or "rerun".
+        "mjlab", "playground" (MuJoCo Playground) and "lerobot"
         (EnvHub) are the whole bank with a script that uses it there. FILE.py:NAME or MODULE:NAME is one of
         your own, a `Format` that this variable holds; in Python also the `Format` itself.
       scenes: numbers such as 0,3,7 or 0-9; all successful ones if not given. In Python also a list.
       cameras: cameras around the support, to be added to every scene: "overhead", "front", "side", "wrist".
+      old_mujoco: with "mjcf", files that MuJoCo before 3.2.3 reads, too, from 2.3.7 on.
+      joints: with "mjcf", drawers and doors of the support can move.
       grasps: grasps to write beside objects, with "molmospaces": a file of `cluttergen robot grasps --out`.
       look: draws a support that has no surfaces of its own as a table in wood, marble and so on: a name, or
         a YAML file (docs/guide/pictures.md). What collides stays.
@@ -78,7 +81,7 @@ def export(
     from cluttergen_jax.scene.export.formats import find_format
 
     takes_bank = isinstance(format, str) and format in BANK_FORMATS
-    kind = None if takes_bank else find_format(format)
+    kind = None if takes_bank else find_format(format, old_mujoco=old_mujoco, joints=joints)
     if kind is not None and cameras and not kind.takes_cameras:
         note = f"note: cameras stand in scenes/*.json alone: what {kind.name} reads has none"
         print(note, file=sys.stderr)
@@ -110,10 +113,15 @@ def export(
     bank = read_bank(path)
     if kind is None:
         options = {"scenes": numbers, "cameras": tuple(cameras), "grasps": grasps}
+        options |= {"old_mujoco": old_mujoco, "joints": joints}
         options["look"] = "" if str(look) == "plain" else look
-        if given := ", ".join(f"`{name}`" for name, value in options.items() if value):
-            text = f"{given} with the format {format!r}, which takes the whole bank"
-            raise ConfigError(text, "a bank of just these scenes", "`cluttergen generate`")
+        given = [f"`{name}`" for name, value in options.items() if value]
+        if given:
+            text = f"{', '.join(given)} with the format {format!r}, which takes the whole bank"
+            if given == ["`scenes`"]:
+                hint = "`cluttergen cut`, which makes that bank, then this export of it"
+                raise ConfigError(text, "a bank of just these scenes", hint)
+            raise ConfigError(text, "none of these options", "leaving them out")
         check_is_here(bank.path)
         indices = good_indices(bank)
         for text in local_paths(bank):

@@ -110,7 +110,8 @@ def run_export(options: Options) -> None:
     from cluttergen_jax.scene.export.folder import MANIFEST
     from cluttergen_jax.scene.export.formats import find_format
 
-    kind = BANK_FORMATS.get(options.format) or find_format(options.format)
+    own = {"old_mujoco": options.old_mujoco, "joints": options.joints}
+    kind = BANK_FORMATS.get(options.format) or find_format(options.format, **own)
     is_whole = options.format in BANK_FORMATS
     folder = options.call(export, format=options.format if is_whole else kind)
     scenes = json_text.loads((folder / MANIFEST).read_text())["scenes"]
