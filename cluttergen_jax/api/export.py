@@ -1,4 +1,4 @@
-"""Banks given and taken: exported to other programs, pushed to a hub and pulled from one."""
+"""Banks given and taken: exported to other programs, cut, pushed to a hub and pulled from one."""
 
 from __future__ import annotations
 
@@ -135,6 +135,37 @@ def export(
     return export_scenes(
         shown, out, kind, overwrite=overwrite, cameras=tuple(cameras), grasps=grasps
     )
+
+
+def cut(
+    bank: str | Path | Bank,
+    out: str | Path,
+    scenes: Sequence[int] | str,
+    *,
+    overwrite: bool = False,
+) -> Bank:
+    """Makes a bank of some scenes of another, numbered anew from 0 in the order given (`cluttergen cut`).
+
+    Rows, certificates, models and pictures are those of the other bank, failures included; objects that no
+    scene has are kept where all scenes were drawn from the same. The record says which scenes of which bank
+    they are, so attempts can be made again, but `generate` does not continue it. A cut that was interrupted
+    goes on.
+
+    Args:
+      bank: a bank in a folder; it is only read. In Python also a `Bank`.
+      out: a folder that does not exist yet, or that of the same cut.
+      scenes: numbers such as 0-99 or 7,3; "all" for all that are there. In Python also a list.
+      overwrite: begin anew if the folder holds another bank.
+
+    Raises:
+      BankError: there is no such bank or scene, a file of it was changed, or `out` holds something else or is
+        being written by another process.
+      ConfigError: no scenes, one twice, or `out` is the bank itself.
+    """
+    from cluttergen_jax.scene.bank import Bank, cut_bank, read_bank
+
+    source = bank if isinstance(bank, Bank) else read_bank(bank)
+    return cut_bank(source, scene_numbers(scenes), out, overwrite)
 
 
 def _furnish_scenes(scenes: Iterable[Scene], look: str | Path) -> Iterator[Scene]:

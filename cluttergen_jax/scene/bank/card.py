@@ -33,11 +33,13 @@ from cluttergen_jax.types import Verdict, small_length
 CARD = "README.md"
 MARK = "<!-- written by cluttergen; remove this line to keep your own changes -->"
 
+_MOST_RUNS = 8
 _FAR = f"{1000 * StabilityConfig.stand_full_shift:g} mm"
 _MUCH = f"{math.degrees(StabilityConfig.stand_full_turn):g} degrees"
 
 _COLUMNS = {
-    "index": "the scene's number; its random key is fold_in(key(seed), index)",
+    "index": "the scene's number; its random key is fold_in(key(seed), index), in a bank that was cut of "
+    "another by the number there",
     "is_success": "every object placed, and all stand together in the last check",
     "is_filled": "every object placed",
     "verdict": "the last word on the scene",
@@ -242,6 +244,7 @@ def _recipe_section(recipe: Recipe, bits: list[Bits]) -> str:
         else recipe.get("method"),
         "checkpoint": recipe.get("checkpoint_hash") or "none",
         "seed": recipe.get("seed"),
+        **_rows_of_cut(recipe),
         **_rows_of_request(recipe),
         "engine": recipe.get("engine"),
         "queried region": recipe.get("region"),
@@ -286,6 +289,16 @@ def _rows_of_request(recipe: Recipe) -> dict[str, str]:
     tries = asked.get("tries")
     answers = "1 answer" if tries == 1 else f"{tries} answers"
     return {"layout asked for": f"{asked.get('request')!r}, of {asked.get('model')}, {answers}"}
+
+
+def _rows_of_cut(recipe: Recipe) -> dict[str, str]:
+    """Of which bank it was cut; nothing where it was not."""
+    cut = recipe.get("cut")
+    if not isinstance(cut, dict):
+        return {}
+    runs = [str(first) if first == last else f"{first}-{last}" for first, last in cut["scenes"]]
+    shown = ", ".join(runs[:_MOST_RUNS]) + (", ..." if len(runs) > _MOST_RUNS else "")
+    return {"cut of": f"{cut['bank']}, scenes {shown} of the seed, here numbered from 0"}
 
 
 def _stability(bank: Bank) -> str:
