@@ -143,12 +143,19 @@ def card_text(bank: Bank, stats: BankStats) -> str:
     return "\n\n".join(sections) + "\n"
 
 
-def front_matter(licences: Sequence[str], tags: Sequence[str], title: str, data_files: str) -> str:
+def front_matter(
+    licences: Sequence[str],
+    tags: Sequence[str],
+    title: str,
+    data_files: str,
+    more: Sequence[str] = (),
+) -> str:
     """The block that dataset hubs read, and the mark of a card that may be written again.
 
     Args:
       licences: of the assets; hubs get their word for one known licence, else all of them by name.
       data_files: which files are the data, as YAML; else pictures would be taken for it.
+      more: further lines of YAML.
     """
     known = sorted(set(licences))
     if known == ["Apache-2.0"]:
@@ -159,6 +166,7 @@ def front_matter(licences: Sequence[str], tags: Sequence[str], title: str, data_
         f"tags: [{', '.join(tags)}]",
         f"pretty_name: {title}",
         f"configs: [{{config_name: default, data_files: {data_files}}}]",
+        *more,
     ]
     return "\n".join([*lines, "---", MARK])
 
