@@ -90,12 +90,16 @@ class RerunFile:
         self.stream.disconnect()
         self._file.__exit__(*error)
 
-    def add_pose(self, place: list[str], pose: np.ndarray) -> None:
-        """Says where something is, f[7], metres, wxyz, in the frame of what it lies below."""
+    def add_pose(self, place: list[str], pose: np.ndarray, *, is_static: bool = True) -> None:
+        """Says where something is, f[7], metres, wxyz, in the frame of what it lies below.
+
+        Args:
+          is_static: it has no time; else it is there at the time that the stream is set to.
+        """
         w, x, y, z = pose[3:].tolist()
         turn = self.rr.Quaternion(xyzw=[x, y, z, w])
         at = self.rr.Transform3D(translation=pose[:3], quaternion=turn)
-        self.stream.log(place, at, static=True)
+        self.stream.log(place, at, static=is_static)
 
     def add_pieces(self, place: list[str], pieces: Iterable[Piece]) -> None:
         """Draws surfaces below a place, numbered."""
