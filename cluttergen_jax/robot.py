@@ -5,10 +5,13 @@ from typing import TYPE_CHECKING
 from cluttergen_jax.lazy import name_space
 
 if TYPE_CHECKING:
-    from cluttergen_jax.downstream.environments.api import evaluate_policy, scripted_actions
+    from cluttergen_jax.downstream.environments.api import (
+        evaluate_policy,
+        scripted_actions,
+        write_rerun,
+    )
     from cluttergen_jax.downstream.environments.api import make_robot_env as make_env
     from cluttergen_jax.downstream.environments.api import robot_record as record
-    from cluttergen_jax.downstream.environments.api import write_rerun
     from cluttergen_jax.downstream.environments.evaluation import PolicyEvaluation
     from cluttergen_jax.downstream.environments.randomization import RandomizationConfig
     from cluttergen_jax.downstream.environments.recordings import Recording, read_recording

@@ -15,6 +15,7 @@ import pyarrow as pa
 
 IMAGE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 """The type of an image: the bytes of its file."""
+_KEY = b"huggingface"
 _WORDS = {"double": "float64", "float": "float32"}
 """Its words for types, where they are not Arrow's."""
 
@@ -23,7 +24,12 @@ def with_features(fields: Sequence[tuple[str, pa.DataType]]) -> pa.Schema:
     """The schema of these columns, with what each is to `datasets` in its metadata."""
     features = {name: _feature(kind) for name, kind in fields}
     told = json.dumps({"info": {"features": features}})
-    return pa.schema(fields, metadata={"huggingface": told})
+    return pa.schema(fields, metadata={_KEY: told.encode()})
+
+
+def has_features_of(found: pa.Schema, wanted: pa.Schema) -> bool:
+    """Whether a file's schema has the columns of one of `with_features`, and says the same of them."""
+    return found.equals(wanted) and (found.metadata or {}).get(_KEY) == wanted.metadata[_KEY]
 
 
 def card_features(schema: pa.Schema) -> list[dict[str, Any]]:

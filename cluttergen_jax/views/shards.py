@@ -29,7 +29,7 @@ from cluttergen_jax.files import write_atomically
 from cluttergen_jax.schema import digest_of
 from cluttergen_jax.sensing import Instance, View
 from cluttergen_jax.stores import BlockStore
-from cluttergen_jax.views.features import IMAGE, with_features
+from cluttergen_jax.views.features import IMAGE, has_features_of, with_features
 from cluttergen_jax.views.images import depth_png, label_image, png_of
 from cluttergen_jax.views.maker import SeenScene
 
@@ -271,9 +271,9 @@ def is_whole_shard(path: Path, form: RowForm, num_views: int, digest: str | None
         if digest is not None and digest_of(path.read_bytes()) != digest:
             return False
         if form == "parquet":
-            told = pq.read_metadata(path)
-            is_ours = told.schema.to_arrow_schema().equals(SCHEMA, check_metadata=True)
-            return is_ours and told.num_rows == num_views
+            with pq.ParquetFile(path) as file:
+                is_ours = has_features_of(file.schema_arrow, SCHEMA)
+                return is_ours and file.metadata.num_rows == num_views
         with tarfile.open(path) as tar:
             names = tar.getnames()
         counted = [sum(name.endswith(end) for name in names) for end in (".json", DEPTH_NAME)]
