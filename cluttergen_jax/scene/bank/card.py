@@ -16,6 +16,7 @@ from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.placement.methods.table import entry_of
 from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank.croissant import write_croissant
 from cluttergen_jax.scene.bank.record import READER, Bits, Recipe
 from cluttergen_jax.scene.bank.stats import BankStats, stats_of
 from cluttergen_jax.scene.bank.table import (
@@ -26,6 +27,7 @@ from cluttergen_jax.scene.bank.table import (
     DOORS,
     SCHEMA,
     count_column,
+    schema_of,
 )
 from cluttergen_jax.tables import markdown_table
 from cluttergen_jax.types import Verdict, small_length
@@ -95,12 +97,20 @@ _COLUMNS = {
 
 
 def write_card(bank: Bank) -> Path | None:
-    """Writes the card, unless the user has a README of their own there; returns its path if written.
+    """Writes the card, and `croissant.json`, unless the user has such files of their own there.
+
+    Returns:
+      The card's path if it was written.
 
     Raises:
       BankError: the bank holds no scenes yet, or it or one of its assets is damaged.
     """
-    return write_unless_own(bank.path, lambda: card_text(bank, stats_of(bank)))
+    stats = stats_of(bank)
+    assets = _assets_of(bank, stats)
+    columns = schema_of(next(bank.tables()))
+    name = bank.path.resolve().name
+    write_croissant(bank.path, columns, _COLUMNS, _licences(bank, assets), name)
+    return write_unless_own(bank.path, lambda: card_text(bank, stats, assets))
 
 
 def write_unless_own(folder: Path, text: Callable[[], str]) -> Path | None:
@@ -116,13 +126,16 @@ def write_unless_own(folder: Path, text: Callable[[], str]) -> Path | None:
     return path
 
 
-def card_text(bank: Bank, stats: BankStats) -> str:
-    """The card of a bank as Markdown."""
-    names = sorted(bank.assets["objects"]) or [each.name for each in stats.objects]
-    assets = [bank.object(name) for name in names]
+def card_text(bank: Bank, stats: BankStats, assets: Sequence[ObjectAsset] | None = None) -> str:
+    """The card of a bank as Markdown.
+
+    Args:
+      assets: its objects; read if not given.
+    """
+    assets = _assets_of(bank, stats) if assets is None else assets
     sections = [
         front_matter(
-            [*(asset.provenance.licence for asset in assets), bank.support.provenance.licence],
+            _licences(bank, assets),
             ("robotics", "simulation", "mujoco", "tabletop", "scenes"),
             "cluttered tabletop scenes",
             "'scenes-*.parquet'",
@@ -169,6 +182,16 @@ def front_matter(
         *more,
     ]
     return "\n".join([*lines, "---", MARK])
+
+
+def _assets_of(bank: Bank, stats: BankStats) -> list[ObjectAsset]:
+    """All its objects; of banks that do not name them those that its scenes have."""
+    names = sorted(bank.assets["objects"]) or [each.name for each in stats.objects]
+    return [bank.object(name) for name in names]
+
+
+def _licences(bank: Bank, assets: Sequence[ObjectAsset]) -> list[str]:
+    return [*(asset.provenance.licence for asset in assets), bank.support.provenance.licence]
 
 
 def _about(bank: Bank, stats: BankStats) -> str:
@@ -218,6 +241,7 @@ def _files(folder: Path, added: Iterable[pa.Field]) -> str:
         "a file each of those, or one of many in a large bank.",
         "- `assets/`: every object once (surfaces, images, convex parts, mass, inertia), and the support.",
         *([_ALONE] if (folder / READER).is_file() else []),
+        "- `croissant.json`: the columns for programs that read Croissant.",
         "- `scenes/`: if present, an MJCF file (and a picture) for each scene that stands; poses are in "
         "the bodies and in the keyframe `scene`.",
         "",

@@ -30,6 +30,7 @@ from cluttergen_jax.scene.bank.blocks import (
     block_path,
     digest_of_file,
 )
+from cluttergen_jax.scene.bank.croissant import CROISSANT
 from cluttergen_jax.scene.bank.hub import is_of_a_bank
 from cluttergen_jax.scene.bank.index import BankIndex, digests_in
 from cluttergen_jax.scene.bank.record import (
@@ -428,7 +429,7 @@ def _remove_bank(path: Path) -> None:
             remote.remove(name)
     for folder in ("assets", "scenes"):
         remove(path / folder)
-    for name in ("overview.png", "verification.json", READER, INDEX):
+    for name in ("overview.png", "verification.json", CROISSANT, READER, INDEX):
         (path / name).unlink(missing_ok=True)
 
 
