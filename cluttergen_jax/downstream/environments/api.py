@@ -437,9 +437,9 @@ def write_rerun(
     from cluttergen_jax.downstream.environments.rerun import write_episode
     from cluttergen_jax.files import check_file
     from cluttergen_jax.kept_folder import hold_file
-    from cluttergen_jax.scene.export.rerun import require_rerun
+    from cluttergen_jax.scene import RerunFile
 
-    require_rerun()
+    RerunFile.require()
     place = Path(out)
     if place.suffix != ".rrd":
         raise ConfigError(f"out = {str(out)!r}", "a file whose name ends in .rrd", "out='demo.rrd'")
