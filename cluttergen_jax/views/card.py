@@ -107,11 +107,19 @@ def _text(out: Path, form: RowForm, num_views: Mapping[str, int], banks: Sequenc
 
 
 def _type(name: str) -> str:
-    """A column's type as the card's features have it."""
+    """A column's type in words."""
     (found,) = (each for each in card_features(SCHEMA) if each["name"] == name)
-    return str(found.get("dtype") or json.dumps(found["sequence"])).strip('"') + (
-        " list" if "sequence" in found else ""
-    )
+    return _type_of(found)
+
+
+def _type_of(feature: Any) -> str:
+    """Of a feature as the card lists it."""
+    if isinstance(feature, str):
+        return feature
+    if "dtype" in feature:
+        return str(feature["dtype"])
+    inner = _type_of(feature["sequence"])
+    return f"{feature['length']} {inner}" if "length" in feature else f"list of {inner}"
 
 
 def _info(out: Path, form: RowForm, splits: Mapping[str, int]) -> list[str]:
