@@ -8,13 +8,16 @@ import pyarrow as pa
 import pytest
 
 import cluttergen_jax as cg
+from cluttergen_jax.assets.pool import Pool, write_pool
 from cluttergen_jax.bank_reader import Bank as PlainBank
 from cluttergen_jax.errors import BankError, ConfigError
+from cluttergen_jax.generation.sources import open_source
 from cluttergen_jax.judging.verify import VerifyConfig
 from cluttergen_jax.scene.bank import BankIndex, BankWriter, cut, number_of_seed, read_bank
 from cluttergen_jax.scene.bank.hub import check_whole
 from cluttergen_jax.scene.bank.table import COLUMNS
 from tests.helpers import banks
+from tests.helpers.worlds import trio
 
 
 @pytest.fixture(scope="module")
@@ -183,3 +186,21 @@ def test_formats_of_whole_banks_advise_it(whole, tmp_path):
     assert json.loads((folder / "MANIFEST.json").read_text())["scenes"] == [0]
     with pytest.raises(ConfigError, match="none of these options"):
         cg.export(bank, tmp_path / "other", "mjlab", cameras=("front",))
+
+
+@pytest.mark.slow
+def test_attempts_of_a_cut_scene_are_made_again_and_generate_leaves_it_alone(tmp_path):
+    pool = write_pool(tmp_path / "trio", Pool("trio", tuple(trio())))
+    asked = {"pool": str(pool), "method": "random", "num_objects": 2, "render": False}
+    whole = cg.generate(tmp_path / "bank", num_scenes=6, **asked)
+    bank = cg.cut(whole.path, tmp_path / "cut", [4, 1])
+    source, _ = open_source(str(bank.path))
+    first, _ = open_source(str(whole.path))
+    for own, number in enumerate([4, 1]):
+        # It refuses what ends elsewhere than the stored scene.
+        again = source.replay(own)
+        then = first.replay(number)
+        assert [each.verdict for each in again.attempts] == [each.verdict for each in then.attempts]
+        np.testing.assert_array_equal(again.poses, then.poses)
+    with pytest.raises(BankError, match="another cut"):
+        cg.generate(bank.path, num_scenes=6, **asked)
