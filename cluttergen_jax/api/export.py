@@ -112,9 +112,14 @@ def export(
         numbers = [own]
     bank = read_bank(path)
     if kind is None:
-        options = {"scenes": numbers, "cameras": tuple(cameras), "grasps": grasps}
-        options |= {"old_mujoco": old_mujoco, "joints": joints}
-        options["look"] = "" if str(look) == "plain" else look
+        options: dict[str, Any] = {
+            "scenes": numbers,
+            "cameras": tuple(cameras),
+            "grasps": grasps,
+            "old_mujoco": old_mujoco,
+            "joints": joints,
+            "look": "" if str(look) == "plain" else look,
+        }
         given = [f"`{name}`" for name, value in options.items() if value]
         if given:
             text = f"{', '.join(given)} with the format {format!r}, which takes the whole bank"

@@ -29,7 +29,8 @@ def with_features(fields: Sequence[tuple[str, pa.DataType]]) -> pa.Schema:
 
 def has_features_of(found: pa.Schema, wanted: pa.Schema) -> bool:
     """Whether a file's schema has the columns of one of `with_features`, and says the same of them."""
-    return found.equals(wanted) and (found.metadata or {}).get(_KEY) == wanted.metadata[_KEY]
+    says_the_same = (found.metadata or {}).get(_KEY) == wanted.metadata[_KEY]
+    return bool(found.equals(wanted) and says_the_same)
 
 
 def card_features(schema: pa.Schema) -> list[dict[str, Any]]:

@@ -24,7 +24,7 @@ from cluttergen_jax.scene.bank.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.remote import check_is_here, is_url
 from cluttergen_jax.scene.bank.scene import missing_text
-from cluttergen_jax.scene.bank.writer import BankWriter
+from cluttergen_jax.scene.bank.writer import BankWriter, Objects
 from cluttergen_jax.schema import digest_of
 
 _FILES = ("xml", "png")
@@ -52,14 +52,16 @@ def cut_bank(bank: Bank, numbers: Sequence[int] | None, out: str | Path, overwri
     recipe = {**bank.recipe, "cut": {**cut, "scenes": of_seed}}
     asset_of = lru_cache(maxsize=None)(bank.object)
     named = bank.assets["objects"] or {base_name(name) for name in bank.object_names}
-    objects = {name: asset_of(name) for name in sorted(named)}
+    # Where blocks drew their objects, those that the scenes have.
+    objects: Objects = asset_of
+    if not bank.recipe.get("shelf"):
+        objects = {name: asset_of(name) for name in sorted(named)}
     blocks = range(0, len(numbers), BLOCK_SIZE)
     with BankWriter(
         out,
         recipe,
         len(numbers),
-        # Where blocks drew their objects, those that the scenes have.
-        asset_of if bank.recipe.get("shelf") else objects,
+        objects,
         bank.support,
         overwrite,
         known_bits=bank.record.get("bits", ()),

@@ -11,6 +11,7 @@ has them numbered. `RerunFile` writes what moves, too, along the timeline `time`
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -79,22 +80,25 @@ class RerunFile:
 
     def __init__(self, path: Path, name: str) -> None:
         self._rr = require_rerun()
-        self._file = file_whole(path)
+        self._path = path
         self._name = name
         self._is_static = True
 
     require = staticmethod(require_rerun)
 
     def __enter__(self) -> RerunFile:
-        fresh = self._file.__enter__()
-        self._stream = self._rr.RecordingStream(_APPLICATION, recording_id=self._name)
-        self._stream.save(fresh)
-        self._log([_WORLD], self._rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        with ExitStack() as stack:
+            fresh = stack.enter_context(file_whole(self._path))
+            self._stream = self._rr.RecordingStream(_APPLICATION, recording_id=self._name)
+            # Before the file takes its place.
+            stack.callback(self._stream.disconnect)
+            self._stream.save(fresh)
+            self._log([_WORLD], self._rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+            self._stack = stack.pop_all()
         return self
 
     def __exit__(self, *error: Any) -> None:
-        self._stream.disconnect()
-        self._file.__exit__(*error)
+        self._stack.__exit__(*error)
 
     def set_time(self, seconds: float) -> None:
         """What is added from now on is so at this time."""
