@@ -37,7 +37,7 @@ $(VENV)/.dev: $(VENV)/.core
 	@touch $@
 
 $(VENV)/.all: $(VENV)/.dev
-	$(INSTALL) -e '.[dev,ycb,ray,robot,record,video,coco,peers,usd,viewer,browser,fuzz,hub,docs,remote,perception,photo]'
+	$(INSTALL) -e '.[dev,ycb,ray,robot,record,video,coco,peers,usd,viewer,browser,fuzz,hub,docs,remote,perception,photo,rerun,readers]'
 	@touch $@
 
 demo: $(VENV)/.core ## generate, draw, save and verify 20 scenes of ten dining objects in out/demo

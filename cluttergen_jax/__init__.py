@@ -13,6 +13,7 @@ Every command has a function with the same defaults and the same names of option
     generate, verify, stats        scenes -> a bank on disk; which are stable; what it holds
     certify, judge, repair         measures of stability; anybody's scenes by one strict rule; broken layouts
     export, render, view           scenes -> other programs, pictures, a viewer
+    cut                            some scenes of a bank -> a bank
     make_dataset                   what cameras see of thousands of scenes, in files for trainers
     train, evaluate                a pool -> a policy; methods side by side
     place_by_hand                  a person's scenes -> a bank
@@ -47,7 +48,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from cluttergen_jax.api import display as _drawing
-from cluttergen_jax.api.export import export
+from cluttergen_jax.api.export import cut, export
 from cluttergen_jax.api.generate import generate, place_by_hand, repair
 from cluttergen_jax.api.import_ import import_pool, import_support
 from cluttergen_jax.api.render import make_dataset, render, view
@@ -96,6 +97,7 @@ __all__ = [
     "Scene",
     "SceneSpec",
     "certify",
+    "cut",
     "envs",
     "evaluate",
     "export",
@@ -199,6 +201,7 @@ __getattr__, __dir__ = name_space(
         "Scene": "scene:Scene",
         "SceneSpec": "spec:SceneSpec",
         "certify": "judging.api:certify",
+        "cut": "api.export:cut",
         "envs": "envs",
         "evaluate": "evaluation.api:evaluate",
         "export": "api.export:export",

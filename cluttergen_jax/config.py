@@ -85,8 +85,6 @@ PixelOrigin = Literal["center", "corner"]
 """Where pixel coordinates (0, 0) are in the first pixel."""
 ExportFormat = Literal[
     "mjcf",
-    "mjcf-old",
-    "mjcf-joints",
     "urdf",
     "sdf",
     "usd",
@@ -96,7 +94,8 @@ ExportFormat = Literal[
     "libero",
     "robocasa",
     "molmospaces",
-    "arena",
+    "moveit",
+    "rerun",
     "mjlab",
     "playground",
     "lerobot",

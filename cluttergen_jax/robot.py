@@ -5,7 +5,11 @@ from typing import TYPE_CHECKING
 from cluttergen_jax.lazy import name_space
 
 if TYPE_CHECKING:
-    from cluttergen_jax.downstream.environments.api import evaluate_policy, scripted_actions
+    from cluttergen_jax.downstream.environments.api import (
+        evaluate_policy,
+        scripted_actions,
+        write_rerun,
+    )
     from cluttergen_jax.downstream.environments.api import make_robot_env as make_env
     from cluttergen_jax.downstream.environments.api import robot_record as record
     from cluttergen_jax.downstream.environments.evaluation import PolicyEvaluation
@@ -48,6 +52,7 @@ __all__ = [
     "scripted_actions",
     "set_pads",
     "with_robot",
+    "write_rerun",
 ]
 
 __getattr__, __dir__ = name_space(
@@ -73,5 +78,6 @@ __getattr__, __dir__ = name_space(
         "scripted_actions": "downstream.environments.api:scripted_actions",
         "set_pads": "downstream.robot.grasping.pads:set_pads",
         "with_robot": "downstream.environments.world:with_robot",
+        "write_rerun": "downstream.environments.api:write_rerun",
     },
 )

@@ -87,7 +87,7 @@ if __name__ == "__main__":
     print(cg.make_dataset("bank", "views", num_scenes=6, splits="train=0.5,test=0.5", **seen))
     files = sorted(Path("views").glob("*.parquet"))
     found = [row for file in files for row in pq.read_table(file).to_pylist()]
-    images = [np.array(Image.open(io.BytesIO(row["rgb"]))) for row in found]
+    images = [np.array(Image.open(io.BytesIO(row["rgb"]["bytes"]))) for row in found]
     save_png(
         contact_sheet(images, [f"scene {row['scene']}, {row['camera']}" for row in found]),
         "views.png",

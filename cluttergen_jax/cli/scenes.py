@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from tyro.conf import Positional, arg
 
-from cluttergen_jax.api.export import export, holds_policies, pull_bank, pull_policies, push_bank
+from cluttergen_jax.api.export import (
+    cut,
+    export,
+    holds_policies,
+    pull_bank,
+    pull_policies,
+    push_bank,
+)
 from cluttergen_jax.api.generate import generate, place_by_hand, repair
 from cluttergen_jax.api.render import make_dataset, render, view
 from cluttergen_jax.cli.flags import with_flags
@@ -110,11 +117,22 @@ def run_export(options: Options) -> None:
     from cluttergen_jax.scene.export.folder import MANIFEST
     from cluttergen_jax.scene.export.formats import find_format
 
-    kind = BANK_FORMATS.get(options.format) or find_format(options.format)
+    own = {"old_mujoco": options.old_mujoco, "joints": options.joints}
+    kind = BANK_FORMATS.get(options.format) or find_format(options.format, **own)
     is_whole = options.format in BANK_FORMATS
     folder = options.call(export, format=options.format if is_whole else kind)
     scenes = json_text.loads((folder / MANIFEST).read_text())["scenes"]
     print(f"{len(scenes)} scenes in {folder}: open with {kind.opens_in}")
+
+
+@command(cut, bank=Positional[str], scenes=str)
+def run_cut(options: Options) -> None:
+    """Make a bank of some scenes of another, numbered anew from 0. Rerun to resume.
+
+    Example: `cluttergen cut out --scenes 0-99 --out smaller`
+    """
+    bank = options.call(cut)
+    print(f"{bank.num_scenes} scenes in {bank.path}")
 
 
 def _sense_of(bank: Bank) -> SenseFindings:

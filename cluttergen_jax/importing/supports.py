@@ -767,7 +767,7 @@ def estimates_of(joints: Sequence[Joint]) -> list[str]:
             said.append(f"{', '.join(unstated)} of {', '.join(map(repr, names))}")
     if not said:
         return []
-    return [f"its file states none, so exports as mjcf-joints estimate: {'; '.join(said)}"]
+    return [f"its file states none, so exports with joints that move estimate: {'; '.join(said)}"]
 
 
 def _limits_of(joint: Joint) -> tuple[float, float] | None:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.scene.bank.remote import bank_folder
     from cluttergen_jax.scene.cameras import CAMERAS, FixedCamera, scene_cameras
     from cluttergen_jax.scene.collection import SceneCollection, collect
+    from cluttergen_jax.scene.export.rerun import RerunFile
     from cluttergen_jax.scene.scene import Origin, Scene
 
 __getattr__, __all__ = offer(
@@ -36,6 +37,7 @@ __getattr__, __all__ = offer(
         "bank.remote": ("bank_folder",),
         "cameras": ("CAMERAS", "FixedCamera", "scene_cameras"),
         "collection": ("SceneCollection", "collect"),
+        "export.rerun": ("RerunFile",),
         "scene": ("Origin", "Scene"),
     },
 )

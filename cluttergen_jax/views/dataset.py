@@ -29,6 +29,7 @@ from cluttergen_jax.schema import Record, digest_of
 from cluttergen_jax.sensing import CameraPlan
 from cluttergen_jax.statistics import share_out
 from cluttergen_jax.views.bop import BopConfig, BopScenes
+from cluttergen_jax.views.card import write_views_card
 from cluttergen_jax.views.detection import (
     DetectionFiles,
     DetectionForm,
@@ -503,6 +504,8 @@ def make(
             maker = ShardMaker(plan.banks, config, files)
             shards = _make_shards(plan, maker, cluster, digests)
             VIEWS.write_record(out, record | {"shards": shards})
+            if form == "parquet" or form == "webdataset":
+                write_views_card(out, form, plan.num_views(), [read_bank(each) for each in banks])
     return ViewDataset(out, form, plan.num_views(), config.colour)
 
 

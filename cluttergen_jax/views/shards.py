@@ -4,6 +4,11 @@
     train-00-000003.parquet (.tar)   the views of a split of 64 scenes of bank 0
 
 A shard holds the scenes of a split among 64 of a bank, perhaps none. `views.detection` has other files.
+
+Parquet files say in their schema, under `huggingface`, what the library `datasets` makes of each column
+(`views.features`), so that it gives images, and a hub shows them. In tar files depth is a PNG file called
+`depth.png16`: decoders of the library WebDataset look at what is behind the last dot, and would make eight
+bits of a `.png`.
 """
 
 from __future__ import annotations
@@ -24,6 +29,7 @@ from cluttergen_jax.files import write_atomically
 from cluttergen_jax.schema import digest_of
 from cluttergen_jax.sensing import Instance, View
 from cluttergen_jax.stores import BlockStore
+from cluttergen_jax.views.features import IMAGE, has_features_of, with_features
 from cluttergen_jax.views.images import depth_png, label_image, png_of
 from cluttergen_jax.views.maker import SeenScene
 
@@ -35,7 +41,7 @@ _IMAGES = ("rgb", "depth", "label", "amodal")
 SCENES_PER_SHARD = 64
 
 _BOX = pa.list_(pa.list_(pa.int32(), 4))
-SCHEMA = pa.schema(
+SCHEMA = with_features(
     [
         ("bank", pa.string()),
         ("scene", pa.int32()),
@@ -50,15 +56,17 @@ SCHEMA = pa.schema(
         ("visible", pa.list_(pa.float32())),
         ("box_visible", _BOX),
         ("box_amodal", _BOX),
-        ("rgb", pa.binary()),
-        ("depth", pa.binary()),
-        ("label", pa.binary()),
-        ("amodal", pa.list_(pa.binary())),
+        ("rgb", IMAGE),
+        ("depth", IMAGE),
+        ("label", IMAGE),
+        ("amodal", pa.list_(IMAGE)),
     ]
 )
 """A row for each view. K and T_world_camera row by row; poses T_world_object, metres, wxyz; boxes column,
-row, width, height in pixels; `depth` a PNG file in millimetres along the optical axis, `label` one of 0 floor
-or nothing, 1 support, 2 + k object k; `amodal` a PNG file of each object's whole silhouette."""
+row, width, height in pixels; images are PNG files, in `bytes`: `depth` in millimetres along the optical axis,
+`label` 0 floor or nothing, 1 support, 2 + k object k; `amodal` each object's whole silhouette."""
+DEPTH_NAME = "depth.png16"
+"""The file of depth in a tar, behind the view's name and a dot."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +169,7 @@ def shard_name(split: str, bank: int, shard: int, ending: str) -> str:
 
 
 def row_of(view: View, scene: SeenScene, bank: str, camera: str) -> dict[str, Any]:
-    """A view of a scene as a row of `SCHEMA`: images as PNG files, numbers as lists.
+    """A view of a scene as a row of `SCHEMA`: images as bytes of PNG files, numbers as lists.
 
     Args:
       bank, camera: their names.
@@ -209,13 +217,23 @@ def encode_rows(rows: Sequence[dict[str, Any]], form: RowForm) -> bytes:
     """The views of one shard as a file, a row of `row_of` each."""
     if form == "parquet":
         buffer = io.BytesIO()
-        table = pa.Table.from_pylist(rows, schema=SCHEMA)
+        table = pa.Table.from_pylist([_with_images(row) for row in rows], schema=SCHEMA)
         # Images are compressed already.
         pq.write_table(
             table, buffer, compression="none", write_page_checksum=True, row_group_size=16
         )
         return buffer.getvalue()
     return _tar(rows)
+
+
+def _with_images(row: dict[str, Any]) -> dict[str, Any]:
+    """A row with its images as `datasets` stores them."""
+    images = {name: _image(row[name]) for name in ("rgb", "depth", "label")}
+    return row | images | {"amodal": [_image(mask) for mask in row["amodal"]]}
+
+
+def _image(data: bytes | None) -> dict[str, Any] | None:
+    return None if data is None else {"bytes": data, "path": None}
 
 
 def _tar(rows: Sequence[dict[str, Any]]) -> bytes:
@@ -236,13 +254,15 @@ def _tar(rows: Sequence[dict[str, Any]]) -> bytes:
             images |= {f"amodal-{place:03d}": mask for place, mask in enumerate(row["amodal"])}
             rest = {name: value for name, value in row.items() if name not in _IMAGES}
             for name, data in images.items():
-                add(f"{key}.{name}.png", data)
+                add(f"{key}.{DEPTH_NAME if name == 'depth' else f'{name}.png'}", data)
             add(f"{key}.json", json.dumps(rest).encode())
     return buffer.getvalue()
 
 
 def is_whole_shard(path: Path, form: RowForm, num_views: int, digest: str | None) -> bool:
     """Whether a shard is there as it was written, with so many views.
+
+    One that an earlier version wrote is not: its images were no images to other programs.
 
     Args:
       digest: of the file, where it is known.
@@ -251,8 +271,12 @@ def is_whole_shard(path: Path, form: RowForm, num_views: int, digest: str | None
         if digest is not None and digest_of(path.read_bytes()) != digest:
             return False
         if form == "parquet":
-            return pq.read_metadata(path).num_rows == num_views
+            with pq.ParquetFile(path) as file:
+                is_ours = has_features_of(file.schema_arrow, SCHEMA)
+                return is_ours and file.metadata.num_rows == num_views
         with tarfile.open(path) as tar:
-            return sum(name.endswith(".json") for name in tar.getnames()) == num_views
+            names = tar.getnames()
+        counted = [sum(name.endswith(end) for name in names) for end in (".json", DEPTH_NAME)]
+        return counted == [num_views, num_views]
     except (OSError, pa.ArrowException, tarfile.TarError):
         return False

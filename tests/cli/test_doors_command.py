@@ -65,12 +65,11 @@ def test_scenes_stand_closed_for_ten_seconds_and_are_drawn_anew_to_the_bit(bank,
     assert source.replay(1).is_success
 
 
-@pytest.mark.parametrize("kind", ["mjcf", "mjcf-joints"])
-def test_exports_stand_in_mujoco_with_their_doors_closed(bank, kind, tmp_path):
+@pytest.mark.parametrize("joints", [[], ["--joints"]])
+def test_exports_stand_in_mujoco_with_their_doors_closed(bank, joints, tmp_path):
     out = tmp_path / "out"
-    assert (
-        main(["export", str(bank.path), "--format", kind, "--out", str(out), "--scenes", "0"]) == 0
-    )
+    words = ["export", str(bank.path), *joints, "--out", str(out), "--scenes", "0"]
+    assert main(words) == 0
     model = mujoco.MjModel.from_xml_path(str(out / "scenes" / "000000.xml"))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -79,7 +78,7 @@ def test_exports_stand_in_mujoco_with_their_doors_closed(bank, kind, tmp_path):
         mujoco.mj_step(model, data)
     is_free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE
     np.testing.assert_allclose(data.qpos[model.jnt_qposadr[~is_free]], 0.0, atol=1e-3)
-    assert (~is_free).sum() == (3 if kind == "mjcf-joints" else 0)
+    assert (~is_free).sum() == (3 if joints else 0)
     for address in model.jnt_qposadr[is_free]:
         moved = np.linalg.norm((data.qpos - start)[address : address + 3])
         assert moved < 0.005

@@ -42,8 +42,9 @@ def rows_of(dataset, split="train"):
     return [row for file in files for row in pq.read_table(file).to_pylist()]
 
 
-def image(data):
-    return np.array(Image.open(io.BytesIO(data)))
+def image(cell):
+    """Of a cell of a row, or of the bytes of a file."""
+    return np.array(Image.open(io.BytesIO(cell if isinstance(cell, bytes) else cell["bytes"])))
 
 
 def test_a_view_is_what_its_camera_sees(bank, plain):
@@ -320,8 +321,13 @@ def test_tar_files_have_what_rows_have(bank, plain, tmp_path):
         names = tar.getnames()
         key = "bank-000000-free-1"
         own = [name.removeprefix(f"{key}.") for name in names if name.startswith(f"{key}.")]
-        assert own == ["depth.png", "label.png", *(f"amodal-{k:03d}.png" for k in range(3)), "json"]
-        assert tar.extractfile(f"{key}.depth.png").read() == row["depth"]
+        assert own == [
+            "depth.png16",
+            "label.png",
+            *(f"amodal-{k:03d}.png" for k in range(3)),
+            "json",
+        ]
+        assert tar.extractfile(f"{key}.depth.png16").read() == row["depth"]["bytes"]
         told = json.load(tar.extractfile(f"{key}.json"))
     assert told == {name: value for name, value in row.items() if name in told}
     # Files of one view follow each other, as the readers of such files need it.

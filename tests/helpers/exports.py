@@ -19,12 +19,14 @@ from cluttergen_jax.geometry import rotate
 from cluttergen_jax.scene import Origin, Scene
 from cluttergen_jax.scene.bank import BankWriter
 from cluttergen_jax.scene.bank.table import SCHEMA
-from cluttergen_jax.scene.export import export_scenes
+from cluttergen_jax.scene.export import FORMATS, Format, export_scenes
 from cluttergen_jax.scene.export.mjcf import scene_xml
 from tests.helpers.worlds import trio
 
 NAMES = ("mug", "fork", "soup_can", "mug#2")
 CLOSE = 1e-5
+PLAIN_FORMATS = sorted(set(FORMATS) - {"rerun", "usd"})
+"""Those that need no extra."""
 
 
 def spread(objects, support, names=None, index=0, turn=0.7):
@@ -56,14 +58,17 @@ def dining_scene() -> Scene:
     return spread(objects, find_support("round_table"), NAMES)
 
 
-def exporter(scene, tmp_path_factory, **options) -> Callable[[str], Path]:
+def exporter(scene, tmp_path_factory, **options) -> Callable[[str | Format], Path]:
     """From a format to the folder of the scene in it, each made once."""
     made = {}
 
     def make(format):
         if format not in made:
             made[format] = export_scenes(
-                [scene], tmp_path_factory.mktemp("out") / f"in_{format}", format, **options
+                [scene],
+                tmp_path_factory.mktemp("out") / f"in_{getattr(format, 'name', format)}",
+                format,
+                **options,
             )
         return made[format]
 

@@ -17,11 +17,11 @@ from cluttergen_jax.assets.support_file import find_support
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.judging.verify import verify_scene
 from cluttergen_jax.scene.export import FORMATS, export_scenes
-from tests.helpers.exports import CLOSE, assert_same_pose, matrix, spread
+from tests.helpers.exports import CLOSE, PLAIN_FORMATS, assert_same_pose, matrix, spread
 from tests.helpers.worlds import trio
 
 
-@pytest.mark.parametrize("format", sorted(set(FORMATS) - {"usd", "arena", "mjcf-joints"}))
+@pytest.mark.parametrize("format", PLAIN_FORMATS)
 def test_folders_stand_by_themselves(folder_of, scene, format):
     folder = folder_of(format)
     record = json.loads((folder / "MANIFEST.json").read_text())
@@ -201,9 +201,8 @@ def test_convex_parts_of_a_support_go_everywhere(tmp_path, is_drawn):
     support = support if is_drawn else replace(support, pieces=())
     scene = spread(trio()[:1], support)
     count = len(support.boxes) + 1
-    of_usd = ("arena", "usd")
-    for format in (*sorted(set(FORMATS) - {*of_usd, "mjcf-joints"}), *of_usd):
-        if format in of_usd:
+    for format in (*PLAIN_FORMATS, "usd"):
+        if format == "usd":
             pytest.importorskip("pxr", reason="needs the extra usd")
         folder = export_scenes([scene], tmp_path / f"in_{format}", format)
         if format.startswith("mjcf") or format == "molmospaces":
@@ -235,6 +234,6 @@ def test_convex_parts_of_a_support_go_everywhere(tmp_path, is_drawn):
             record = json.loads(next(folder.glob("scenes/*.json")).read_text())["support"]
             assert len(record["boxes"]) + len(record["parts"]) == count
             assert (folder / record["folder"] / record["parts"][0]).is_file()
-        elif format in of_usd:
+        elif format == "usd":
             text = (folder / "assets/support/support.usda").read_text()
             assert text.count("PhysicsCollisionAPI") == count

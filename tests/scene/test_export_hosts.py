@@ -16,17 +16,15 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-import yaml
 from PIL import Image
 
 import cluttergen_jax as cg
 from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.pool import EMBEDDED, find_pool
 from cluttergen_jax.assets.shape import Texture
-from cluttergen_jax.assets.support import Rectangle, cuboid_table
+from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.bank_reader import Bank
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.scene import Origin
 from cluttergen_jax.scene.export import export_scenes
 from tests.helpers.drawing import needs_gl
 from tests.helpers.environments import ask_peer, named_python, peer_python
@@ -237,63 +235,6 @@ def test_embedded_objects_are_simready_props(tmp_path):
             () if name.endswith("3.0.0") else ("FET_003_MUJOCO", "FET_003_NEWTON", "FET_003_PHYSX")
         )
         assert all(told["features"][each] for each in required + physics), (name, told["features"])
-
-
-def test_arena_names_differ_where_objects_do_and_the_arm_stands_beside_the_region(scene, tmp_path):
-    pytest.importorskip("pxr", reason="needs the extra usd")
-    one, two = (replace(scene.objects[0], name=name) for name in ("coffee-mug", "coffee_mug"))
-    wide = replace(scene.support, region=Rectangle((0.1, 0.0), (0.8, 0.3), np.pi / 6))
-    names = ("coffee-mug", "coffee_mug")
-    both = replace(scene, names=names, objects=(one, two), poses=scene.poses[:2], support=wide)
-    folder = export_scenes([both], tmp_path / "out", "arena")
-    (spec,) = (yaml.safe_load(path.read_text()) for path in (folder / "layouts").glob("*.yaml"))
-    asked = {each["registry_name"] for each in spec["objects"]}
-    known = runpy.run_path(str(folder / "cluttergen_arena.py"))["usd_paths"]()
-    assert len(asked) == 2
-    assert asked <= known.keys()
-    x, y, _ = spec["embodiment"]["params"]["initial_pose"]["position_xyz"]
-    reach = 0.8 * np.cos(np.pi / 6) + 0.3 * np.sin(np.pi / 6)
-    assert (x, y) == (pytest.approx(0.1 - reach - 0.225), 0.0)
-
-
-def test_arena_rows_have_the_same_objects_in_one_file(scene, tmp_path):
-    """The checks that its own reader makes, which needs Isaac Sim."""
-    pytest.importorskip("pxr", reason="needs the extra usd")
-    poses = scene.poses + np.array([0.01, *6 * [0]])
-    moved = replace(scene, poses=poses, origin=replace(scene.origin, index=1))
-    shuffled = replace(
-        moved, names=scene.names[::-1], objects=scene.objects[::-1], poses=moved.poses[::-1]
-    )
-    fewer = replace(
-        scene,
-        names=scene.names[:2],
-        objects=scene.objects[:2],
-        poses=scene.poses[:2],
-        origin=Origin(index=2),
-    )
-    folder = export_scenes([scene, shuffled, fewer], tmp_path / "out", "arena")
-    files = sorted((folder / "layouts").glob("*.jsonl"))
-    assert [len(path.read_text().splitlines()) for path in files] == [1, 2]
-    assert [path.stem for path in sorted((folder / "layouts").glob("*.yaml"))] == [
-        each.stem for each in files
-    ]
-    rows = [json.loads(line)["variations"]["scene.relation_placement"] for line in files[1].open()]
-    assert [row["layout_id"] for row in rows] == ["layout_000000", "layout_000001"]
-    spec = yaml.safe_load(files[1].with_suffix(".yaml").read_text())
-    ids = {each["id"] for each in spec["objects"]}
-    for row, each in zip(rows, (scene, moved), strict=True):
-        assert (row["source"], set(row["poses"])) == ("settled", ids)
-        assert row["validation"]["post_physics"]["cluttergen_final_check"]["passed"]
-        for name, pose in zip(each.names, each.poses, strict=True):
-            told = row["poses"][name.replace("#", "_")]
-            assert set(told) == {"position_xyz", "rotation_xyzw"}
-            x, y, z, w = told["rotation_xyzw"]
-            assert_same_pose(told["position_xyz"], (w, x, y, z), pose)
-    module = runpy.run_path(str(folder / "cluttergen_arena.py"))
-    paths = module["usd_paths"]()
-    assert {each["registry_name"] for each in (*spec["objects"], spec["background"])} == set(paths)
-    assert all(Path(path).is_file() for path in paths.values())
-    assert {each["subject"] for each in spec["relations"] if each["kind"] == "on"} == ids
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,10 @@ from cluttergen_jax.errors import ConfigError, PoolError
 from cluttergen_jax.importing.readers import ReadOptions, find_sources, read_shape
 from cluttergen_jax.importing.supports import estimates_of, support_with_notes, with_joints
 from cluttergen_jax.scene.export import export_scenes
+from cluttergen_jax.scene.export.formats import find_format
 
 OPEN = 0.2
+WITH_JOINTS = find_format("mjcf", joints=True)
 AJAR = 30.0
 BOARDS = {
     "carcass": [
@@ -136,7 +138,7 @@ def test_drawers_and_doors_move_in_an_export_and_stand_until_they_are_pulled(tmp
         objects=scene.objects[:1],
         cameras=(),
     )
-    out = export_scenes([one], tmp_path / "out", "mjcf-joints")
+    out = export_scenes([one], tmp_path / "out", WITH_JOINTS)
     model = mujoco.MjModel.from_xml_path(str(out / "scenes" / "000000.xml"))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("scene").id)
@@ -160,8 +162,8 @@ def test_drawers_and_doors_move_in_an_export_and_stand_until_they_are_pulled(tmp
 
 
 def test_a_support_without_joints_is_refused(tmp_path, scene):
-    with pytest.raises(ConfigError, match="has no joints"):
-        export_scenes([scene], tmp_path / "out", "mjcf-joints")
+    with pytest.raises(ConfigError, match="`joints` with support"):
+        export_scenes([scene], tmp_path / "out", WITH_JOINTS)
     assert not (tmp_path / "out").exists()
 
 
@@ -187,7 +189,7 @@ def test_what_a_file_states_of_its_joints_is_what_is_exported_and_the_rest_is_na
     (said,) = estimates_of(support.joints)
     assert "mass, damping, friction of 'hinge', 'lock'; armature of 'rail', 'hinge', 'lock'" in said
     one = replace(scene, support=support, cameras=())
-    out = export_scenes([one], tmp_path / "out", "mjcf-joints")
+    out = export_scenes([one], tmp_path / "out", WITH_JOINTS)
     model = mujoco.MjModel.from_xml_path(str(out / "scenes" / "000000.xml"))
     rail, hinge = (
         next(k for k in range(model.njnt) if model.joint(k).name.endswith(name))

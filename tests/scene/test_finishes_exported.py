@@ -12,6 +12,7 @@ import trimesh
 from cluttergen_jax.assets.finish import Finish
 from cluttergen_jax.assets.shape import Texture
 from cluttergen_jax.rendering.viewer.scene_nodes import dressed_mesh
+from cluttergen_jax.scene.export.formats import find_format
 from tests.helpers import shiny, textured
 
 ORM = Texture.of(shiny.gloss(0.5, 0.8))
@@ -52,9 +53,10 @@ def test_mjcf(folder_of):
 
 
 def test_old_mjcf_says_nothing_that_old_readers_do_not_know(folder_of):
-    text = (folder_of("mjcf-old") / "scenes" / "000000.xml").read_text()
+    path = folder_of(find_format("mjcf", old_mujoco=True)) / "scenes" / "000000.xml"
+    text = path.read_text()
     assert not any(word in text for word in ("roughness", "metallic", "<layer"))
-    model = mujoco.MjModel.from_xml_path(str(folder_of("mjcf-old") / "scenes" / "000000.xml"))
+    model = mujoco.MjModel.from_xml_path(str(path))
     assert model.mat_specular.max() > 0.25
 
 

@@ -26,9 +26,10 @@ from cluttergen_jax.scene.bank.index import digests_in
 from cluttergen_jax.scene.bank.record import index_bytes
 from cluttergen_jax.scene.bank.scene import read_scenes, region_of
 from cluttergen_jax.scene.bank.table import SCHEMA
-from cluttergen_jax.scene.export import FORMATS, export_scenes
+from cluttergen_jax.scene.export import export_scenes
 from cluttergen_jax.schema import digest_of
 from tests.helpers import banks
+from tests.helpers.exports import PLAIN_FORMATS
 from tests.helpers.worlds import box, trio
 
 OUTSIDE = "../../../../outside"
@@ -38,7 +39,7 @@ COMMANDS = {
     "verify": ["--seconds", "0.1"],
     "certify": ["--seconds", "0.1"],
     "render": ["--out", "OUT", "--samples", "1"],
-    **{f"export --format {name}": ["--out", "OUT"] for name in FORMATS if name != "mjcf-joints"},
+    **{f"export --format {name}": ["--out", "OUT"] for name in PLAIN_FORMATS},
 }
 
 
@@ -186,9 +187,7 @@ def test_a_pool_names_its_objects_plainly(tmp_path):
         read_object(path / "box")
 
 
-@pytest.mark.parametrize(
-    "name", [name for name in FORMATS if name not in ("usd", "arena", "mjcf-joints")]
-)
+@pytest.mark.parametrize("name", PLAIN_FORMATS)
 def test_an_export_of_objects_made_in_memory_stays_in_its_folder(whole, tmp_path, name):
     scene = next(read_scenes(read_bank(whole)))
     scene = replace(

@@ -15,6 +15,7 @@ from cluttergen_jax.physics.native import NativePhysics
 from cluttergen_jax.physics.simulations import Simulations, disabled_flags
 from cluttergen_jax.scene.bank import read_bank
 from cluttergen_jax.scene.export import export_scenes
+from cluttergen_jax.scene.export.formats import find_format
 from cluttergen_jax.types import Verdict
 from tests.helpers.environments import python_with
 from tests.helpers.exports import dining_scene
@@ -40,7 +41,7 @@ def test_files_name_the_detector_they_were_checked_with(tmp_path):
     )
     assert "inertia=" not in text.replace("fullinertia=", "")
     unsaid = text.replace(' nativeccd="disable"', "")
-    assert exported(tmp_path / "old", "mjcf-old", BOTH) == unsaid
+    assert exported(tmp_path / "old", find_format("mjcf", old_mujoco=True), BOTH) == unsaid
     # What was checked with one detector steps as it was made.
     assert exported(tmp_path / "paper", "mjcf", StabilityConfig()) == unsaid.replace(
         repr(1 / 480), repr(1 / 240)
@@ -138,7 +139,7 @@ def bank(tmp_path_factory):
 def test_scenes_stand_in_other_versions_of_mujoco(interpreters, bank, tmp_path):
     number = int(np.sum(read_bank(bank).table["is_success"]))
     assert number >= 14
-    assert main(["export", str(bank), "--format", "mjcf-old", "--out", str(tmp_path / "old")]) == 0
+    assert main(["export", str(bank), "--old-mujoco", "--out", str(tmp_path / "old")]) == 0
     for version, python in interpreters.items():
         folder = tmp_path / "old" if version in OLDER else bank
         done = subprocess.run([python, SCRIPT, folder], capture_output=True, text=True, check=True)

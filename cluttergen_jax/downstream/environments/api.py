@@ -412,6 +412,66 @@ def robot_record(
     return read_recording(out)
 
 
+@with_own_settings
+def write_rerun(
+    recording: Recording | str | Path,
+    episode: int,
+    out: str | Path,
+    *,
+    bank: str | Path | None = None,
+    cameras: Sequence[str] | None = None,
+) -> Path:
+    """Writes an episode of a recording as a file for Rerun's viewer (.rrd). Extras `rerun`, `gym`, `robot`.
+
+    The episode is run again: robot and objects move along the timeline `time`, with pictures, actions and
+    rewards. If it ends otherwise than it did when it was recorded, stderr says so.
+
+        cg.robot.write_rerun("demos", 3, "demo.rrd")    # then: rerun demo.rrd
+
+    Args:
+      recording: its folder, robomimic's file, or what `read_recording` gives.
+      episode: its number, from 0.
+      out: the file, whose name ends in .rrd; one that is there is replaced.
+      bank: where the bank is now, if it has moved.
+      cameras: whose pictures are written; those of the recording if not given, none if empty.
+
+    Returns:
+      The file.
+
+    Raises:
+      ConfigError: there is no such episode or camera, or `out` is no .rrd file.
+      BankError: the recording is damaged, or its bank is gone or another one.
+      MissingExtraError: an extra is not installed.
+      RendererError: there are cameras, and nothing here can draw.
+    """
+    from cluttergen_jax.downstream.environments.recordings import Recording, read_recording
+    from cluttergen_jax.downstream.environments.rerun import write_episode
+    from cluttergen_jax.files import check_file
+    from cluttergen_jax.kept_folder import hold_file
+    from cluttergen_jax.scene import RerunFile
+
+    RerunFile.require()
+    place = Path(out)
+    if place.suffix != ".rrd":
+        raise ConfigError(f"out = {str(out)!r}", "a file whose name ends in .rrd", "out='demo.rrd'")
+    check_file(place, "out", "demo.rrd")
+    found = recording if isinstance(recording, Recording) else read_recording(recording)
+    found.actions(episode)
+    with hold_file(place):
+        given = {"bank": bank, "cameras": cameras}
+        env = make_robot_env(
+            recording=found,
+            **{name: value for name, value in given.items() if value is not None},  # type: ignore[arg-type]
+        )
+        # The recording's own cameras are there whatever is asked for.
+        env.is_drawing = cameras is None or bool(cameras)
+        try:
+            write_episode(found, env, episode, place)
+        finally:
+            env.close()
+    return place
+
+
 def _check_drawing(cameras: Sequence[str]) -> None:
     """Refuses pictures where nothing can draw (RendererError)."""
     from cluttergen_jax.rendering import find_backend

@@ -18,7 +18,6 @@ from cluttergen_jax.progress import Progress
 from cluttergen_jax.rendering import (
     GREEN,
     KEY_LIGHT,
-    RED,
     CameraView,
     add_lighting,
     check_format,
@@ -52,6 +51,8 @@ _FINE = 2
 _AZIMUTH = 205.0
 _ELEVATION = -32.0
 
+_FAILED = (0.86, 0.10, 0.12)
+"""The colour of a frame around an end that was none."""
 # Metres around the middles of the arm's links, and over the region, that are in the picture.
 _ARM_WIDTH = 0.08
 _ROOM = 0.1
@@ -171,7 +172,7 @@ def episode_frames(trace: Trace, title: str, row: EpisodeRow) -> Iterator[np.nda
             moved = f": {trace.scene.names[held]} in hand" if held >= 0 else ""
             yield frame_of(trace.states[number], f"{title}{moved}, {(number + 1) * step:.1f} s")
         text = f"{title}: {ending_of(row)}, {row.seconds:.1f} s"
-        last = frame_of(trace.data.qpos, text, GREEN if row.is_success else RED)
+        last = frame_of(trace.data.qpos, text, GREEN if row.is_success else _FAILED)
         yield from [last] * round(_HELD * FPS)
 
 

@@ -23,6 +23,7 @@ from cluttergen_jax.placement.rollout import BLOCK_SIZE, EpisodeRecorder
 from cluttergen_jax.placement.shelves import Shelves
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank.cut import number_of_seed
 from cluttergen_jax.scene.bank.scene import read_start
 from cluttergen_jax.spec import recorded_method
 
@@ -186,7 +187,8 @@ def replay(
     method = recorded_method(recipe)
     assert method is not None
     seed = int(recipe["seed"])
-    recording = context.record(method, seed, index, stored.title, width, num_proposals, last_only)
+    number = number_of_seed(recipe, index)
+    recording = context.record(method, seed, number, stored.title, width, num_proposals, last_only)
     if not _equal(recording, stored):
         made = ", ".join(f"{name} {number}" for name, number in recipe.get("versions", {}).items())
         raise BankError(

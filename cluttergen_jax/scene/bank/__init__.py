@@ -14,6 +14,7 @@ if TYPE_CHECKING:
         write_card,
         write_unless_own,
     )
+    from cluttergen_jax.scene.bank.cut import cut_bank, number_of_seed
     from cluttergen_jax.scene.bank.hub import hub_of, local_paths, pull, push
     from cluttergen_jax.scene.bank.index import BankIndex, Change, changes_of, changes_to_scene
     from cluttergen_jax.scene.bank.record import AGAIN, INDEX
@@ -36,6 +37,7 @@ __getattr__, __all__ = offer(
         "bank": ("Bank", "read_bank"),
         "blocks": ("StoredBlocks",),
         "card": ("CARD", "assets_section", "front_matter", "write_card", "write_unless_own"),
+        "cut": ("cut_bank", "number_of_seed"),
         "hub": ("hub_of", "local_paths", "pull", "push"),
         "index": ("BankIndex", "Change", "changes_of", "changes_to_scene"),
         "record": ("AGAIN", "INDEX"),

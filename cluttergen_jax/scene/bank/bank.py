@@ -6,6 +6,7 @@
     assets/objects/NAME/    each object once; assets/support/ the table, support_open/ with open doors
     assets/textures/        the objects' images, each once
     bank_reader.py          reads the bank where this package is not
+    croissant.json          its columns, for programs that read Croissant; README.md, the card
     scenes/000000.xml .png  successful scenes as MJCF, meshes by relative path, and their pictures
 
 A block is written as a whole or not at all, so an interrupted bank is continued where it stopped

@@ -16,6 +16,7 @@ from cluttergen_jax.errors import BankError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.placement.methods.table import entry_of
 from cluttergen_jax.scene.bank.bank import Bank
+from cluttergen_jax.scene.bank.croissant import write_croissant
 from cluttergen_jax.scene.bank.record import READER, Bits, Recipe
 from cluttergen_jax.scene.bank.stats import BankStats, stats_of
 from cluttergen_jax.scene.bank.table import (
@@ -26,6 +27,7 @@ from cluttergen_jax.scene.bank.table import (
     DOORS,
     SCHEMA,
     count_column,
+    schema_of,
 )
 from cluttergen_jax.tables import markdown_table
 from cluttergen_jax.types import Verdict, small_length
@@ -33,11 +35,13 @@ from cluttergen_jax.types import Verdict, small_length
 CARD = "README.md"
 MARK = "<!-- written by cluttergen; remove this line to keep your own changes -->"
 
+_MOST_RUNS = 8
 _FAR = f"{1000 * StabilityConfig.stand_full_shift:g} mm"
 _MUCH = f"{math.degrees(StabilityConfig.stand_full_turn):g} degrees"
 
 _COLUMNS = {
-    "index": "the scene's number; its random key is fold_in(key(seed), index)",
+    "index": "the scene's number; its random key is fold_in(key(seed), index), in a bank that was cut of "
+    "another by the number there",
     "is_success": "every object placed, and all stand together in the last check",
     "is_filled": "every object placed",
     "verdict": "the last word on the scene",
@@ -93,12 +97,20 @@ _COLUMNS = {
 
 
 def write_card(bank: Bank) -> Path | None:
-    """Writes the card, unless the user has a README of their own there; returns its path if written.
+    """Writes the card, and `croissant.json`, unless the user has such files of their own there.
+
+    Returns:
+      The card's path if it was written.
 
     Raises:
       BankError: the bank holds no scenes yet, or it or one of its assets is damaged.
     """
-    return write_unless_own(bank.path, lambda: card_text(bank, stats_of(bank)))
+    stats = stats_of(bank)
+    assets = _assets_of(bank, stats)
+    columns = schema_of(next(bank.tables()))
+    name = bank.path.resolve().name
+    write_croissant(bank.path, columns, _COLUMNS, _licences(bank, assets), name)
+    return write_unless_own(bank.path, lambda: card_text(bank, stats, assets))
 
 
 def write_unless_own(folder: Path, text: Callable[[], str]) -> Path | None:
@@ -114,13 +126,16 @@ def write_unless_own(folder: Path, text: Callable[[], str]) -> Path | None:
     return path
 
 
-def card_text(bank: Bank, stats: BankStats) -> str:
-    """The card of a bank as Markdown."""
-    names = sorted(bank.assets["objects"]) or [each.name for each in stats.objects]
-    assets = [bank.object(name) for name in names]
+def card_text(bank: Bank, stats: BankStats, assets: Sequence[ObjectAsset] | None = None) -> str:
+    """The card of a bank as Markdown.
+
+    Args:
+      assets: its objects; read if not given.
+    """
+    assets = _assets_of(bank, stats) if assets is None else assets
     sections = [
         front_matter(
-            [*(asset.provenance.licence for asset in assets), bank.support.provenance.licence],
+            _licences(bank, assets),
             ("robotics", "simulation", "mujoco", "tabletop", "scenes"),
             "cluttered tabletop scenes",
             "'scenes-*.parquet'",
@@ -141,12 +156,19 @@ def card_text(bank: Bank, stats: BankStats) -> str:
     return "\n\n".join(sections) + "\n"
 
 
-def front_matter(licences: Sequence[str], tags: Sequence[str], title: str, data_files: str) -> str:
+def front_matter(
+    licences: Sequence[str],
+    tags: Sequence[str],
+    title: str,
+    data_files: str,
+    more: Sequence[str] = (),
+) -> str:
     """The block that dataset hubs read, and the mark of a card that may be written again.
 
     Args:
       licences: of the assets; hubs get their word for one known licence, else all of them by name.
       data_files: which files are the data, as YAML; else pictures would be taken for it.
+      more: further lines of YAML.
     """
     known = sorted(set(licences))
     if known == ["Apache-2.0"]:
@@ -157,8 +179,19 @@ def front_matter(licences: Sequence[str], tags: Sequence[str], title: str, data_
         f"tags: [{', '.join(tags)}]",
         f"pretty_name: {title}",
         f"configs: [{{config_name: default, data_files: {data_files}}}]",
+        *more,
     ]
     return "\n".join([*lines, "---", MARK])
+
+
+def _assets_of(bank: Bank, stats: BankStats) -> list[ObjectAsset]:
+    """All its objects; of banks that do not name them those that its scenes have."""
+    names = sorted(bank.assets["objects"]) or [each.name for each in stats.objects]
+    return [bank.object(name) for name in names]
+
+
+def _licences(bank: Bank, assets: Sequence[ObjectAsset]) -> list[str]:
+    return [*(asset.provenance.licence for asset in assets), bank.support.provenance.licence]
 
 
 def _about(bank: Bank, stats: BankStats) -> str:
@@ -208,6 +241,7 @@ def _files(folder: Path, added: Iterable[pa.Field]) -> str:
         "a file each of those, or one of many in a large bank.",
         "- `assets/`: every object once (surfaces, images, convex parts, mass, inertia), and the support.",
         *([_ALONE] if (folder / READER).is_file() else []),
+        "- `croissant.json`: the columns for programs that read Croissant.",
         "- `scenes/`: if present, an MJCF file (and a picture) for each scene that stands; poses are in "
         "the bodies and in the keyframe `scene`.",
         "",
@@ -242,6 +276,7 @@ def _recipe_section(recipe: Recipe, bits: list[Bits]) -> str:
         else recipe.get("method"),
         "checkpoint": recipe.get("checkpoint_hash") or "none",
         "seed": recipe.get("seed"),
+        **_rows_of_cut(recipe),
         **_rows_of_request(recipe),
         "engine": recipe.get("engine"),
         "queried region": recipe.get("region"),
@@ -286,6 +321,16 @@ def _rows_of_request(recipe: Recipe) -> dict[str, str]:
     tries = asked.get("tries")
     answers = "1 answer" if tries == 1 else f"{tries} answers"
     return {"layout asked for": f"{asked.get('request')!r}, of {asked.get('model')}, {answers}"}
+
+
+def _rows_of_cut(recipe: Recipe) -> dict[str, str]:
+    """Of which bank it was cut; nothing where it was not."""
+    cut = recipe.get("cut")
+    if not isinstance(cut, dict):
+        return {}
+    runs = [str(first) if first == last else f"{first}-{last}" for first, last in cut["scenes"]]
+    shown = ", ".join(runs[:_MOST_RUNS]) + (", ..." if len(runs) > _MOST_RUNS else "")
+    return {"cut of": f"{cut['bank']}, scenes {shown} of the seed, here numbered from 0"}
 
 
 def _stability(bank: Bank) -> str:

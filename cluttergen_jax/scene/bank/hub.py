@@ -32,6 +32,7 @@ _MENDED = "the same `cluttergen generate` again"
 PATTERNS = (
     "README.md",
     "bank.json",
+    "croissant.json",
     "bank_reader.py",
     "scenes-*.parquet",
     "assets/*",

@@ -34,7 +34,8 @@ class Recipe(TypedDict, total=False):
 
     `placement`, `stability` and `contact` are the fields of the configs of these names; `region` and
     `keep_out` those of a `Rectangle`. `method_digest` is there where the method was a user's own, and `asked`
-    where a language model wrote its layout: request, model and tries.
+    where a language model wrote its layout: request, model and tries; `cut` where its scenes are some of
+    another bank's: that one's name, and the numbers by which the seed makes them, as runs of first and last.
     """
 
     pool: str
@@ -60,6 +61,7 @@ class Recipe(TypedDict, total=False):
     names: list[str]
     versions: dict[str, str]
     asked: Mapping[str, Any]
+    cut: Mapping[str, Any]
 
 
 class AssetDigests(TypedDict):

@@ -30,6 +30,7 @@ from cluttergen_jax.scene.bank.blocks import (
     block_path,
     digest_of_file,
 )
+from cluttergen_jax.scene.bank.croissant import CROISSANT
 from cluttergen_jax.scene.bank.hub import is_of_a_bank
 from cluttergen_jax.scene.bank.index import BankIndex, digests_in
 from cluttergen_jax.scene.bank.record import (
@@ -74,6 +75,7 @@ class BankWriter:
         decides nothing.
       allow_other_bits: continue the bank even if its scenes were computed otherwise; its record tells both.
       open_support: the support with its doors open, as objects were placed on it, where scenes close them.
+      known_bits: by what scenes were computed that are taken over from another bank.
 
     Raises:
       BankError: the folder holds something else, or a bank of another recipe, of other assets or, where
@@ -93,11 +95,13 @@ class BankWriter:
         bits: Bits | None = None,
         allow_other_bits: bool = False,
         open_support: SupportAsset | None = None,
+        known_bits: Sequence[Bits] = (),
     ) -> None:
         self.path = mirror_of(str(path)) if is_url(path) else Path(path)
         check_utf8(self.path)
         self._shard_blocks = shard_blocks
         self._bits = bits
+        self._known_bits = list(known_bits)
         self._allows_other_bits = allow_other_bits
         self._find = objects if callable(objects) else None
         self._assets: dict[str, ObjectAsset] = {} if callable(objects) else dict(objects)
@@ -231,7 +235,7 @@ class BankWriter:
             # What earlier blocks have is known by its digest.
             self._record["assets"]["objects"] = dict(theirs.get("assets", NO_ASSETS)["objects"])
         # By what the scenes are made, where that is known of all of them.
-        known = theirs.get("bits") if theirs else []
+        known = theirs.get("bits") if theirs else self._known_bits
         if self._bits and (not theirs or self._brings_other_bits(theirs, num_scenes)):
             known = [*(known or []), self._bits]
         if known:
@@ -425,7 +429,7 @@ def _remove_bank(path: Path) -> None:
             remote.remove(name)
     for folder in ("assets", "scenes"):
         remove(path / folder)
-    for name in ("overview.png", "verification.json", READER, INDEX):
+    for name in ("overview.png", "verification.json", CROISSANT, READER, INDEX):
         (path / name).unlink(missing_ok=True)
 
 

@@ -1,8 +1,8 @@
 """Scenes that travel: self-contained folders for MuJoCo, PyBullet, Drake, Isaac, glTF viewers and others.
 
 folder: `export_scenes`, licences and origin; its cameras are those of `scene.cameras`. formats: what there
-is. mjcf, links (URDF, SDF), usd, glb, molmospaces: one kind of file each. scene_json: that of loaders,
-ManiSkill's included. shapes: what they share of a body. scripts: data, not code: loaders that travel along.
+is. mjcf, links (URDF, SDF), usd, glb, molmospaces, moveit, rerun: one kind of file each. scene_json: that of
+loaders, ManiSkill's included. shapes: what they share of a body. scripts: data: loaders that travel along.
 """
 
 from typing import TYPE_CHECKING

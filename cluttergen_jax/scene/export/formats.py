@@ -31,6 +31,7 @@ from cluttergen_jax.scene.export.links import (
 )
 from cluttergen_jax.scene.export.mjcf import object_xml, robosuite_xml, scene_xml
 from cluttergen_jax.scene.export.molmospaces import asset_json, scene_metadata
+from cluttergen_jax.scene.export.moveit import planning_scene
 from cluttergen_jax.scene.export.scene_json import maniskill_json, scene_json
 from cluttergen_jax.scene.export.shapes import (
     object_folder,
@@ -107,9 +108,9 @@ def _scene_writer(make: Callable[[Scene], bytes]) -> WriteScene:
 def _mjcf_text(scene: Scene, names_detector: bool = True, has_joints: bool = False) -> bytes:
     if has_joints and not scene.support.joints:
         raise ConfigError(
-            f"support {scene.support.name!r}, which has no joints, in the format 'mjcf-joints'",
+            f"`joints` with support {scene.support.name!r}, which has none",
             "furniture of a URDF or MJCF file with joints, as `cluttergen import --support` reads it",
-            "format='mjcf'",
+            "leaving it out",
         )
     return scene_xml(
         scene.objects,
@@ -145,10 +146,10 @@ def _write_sdf_scene(path: Path, scene: Scene) -> None:
     path.with_suffix(".dmd.yaml").write_bytes(model_directives(scene))
 
 
-def _usd(function: str) -> Callable[..., None]:
-    """A function of `scene.export.usd`, imported when it is called: USD's library takes a while to load."""
+def _late(module: str, function: str) -> Callable[..., Any]:
+    """A function of a module of this package, imported when it is called: some libraries load slowly."""
     return lambda *args: getattr(
-        importlib.import_module("cluttergen_jax.scene.export.usd"), function
+        importlib.import_module(f"cluttergen_jax.scene.export.{module}"), function
     )(*args)
 
 
@@ -168,6 +169,10 @@ _DRAKE_NOTES = (
     "scenes/NUMBER.dmd.yaml are the same as model directives, after "
     "parser.package_map().AddPackageXml('package.xml')."
 )
+_MOVEIT_NOTES = (
+    "Files have what collides: convex parts and boxes, in the frame of the scene. Load them where that frame "
+    "is the planning frame, or with an offset (PlanningScene::loadGeometryFromStream)."
+)
 _ROBOSUITE = (
     _files(robosuite_xml, "xml"),
     _files(robosuite_xml, "xml"),
@@ -178,47 +183,60 @@ _USD = Format(
     "usd",
     "Isaac Sim, Omniverse or usdview: open scenes/NUMBER.usda. Physics is UsdPhysics.",
     "usda",
-    _usd("write_object_usd"),
-    _usd("write_support_usd"),
-    _usd("write_scene_usd"),
+    _late("usd", "write_object_usd"),
+    _late("usd", "write_support_usd"),
+    _late("usd", "write_scene_usd"),
     scripts=("cluttergen_isaaclab.py",),
-    require=_usd("require_usd"),
+    require=_late("usd", "require_usd"),
     object_folder=usd_folder,
     notes="Isaac Lab 2.1 to 3.0: from cluttergen_isaaclab import Clutter; its assets() and event() go into "
     "the configuration of an environment, whose resets put worlds as in scenes. It has not been run there.",
 )
+_MJCF = Format(
+    "mjcf",
+    "MuJoCo: python -m mujoco.viewer --mjcf=scenes/NUMBER.xml; the keyframe `scene` holds the poses too.",
+    "xml",
+    _write_meshes,
+    _write_meshes,
+    _scene_writer(_mjcf_text),
+    scripts=("cluttergen_dm_control.py", "cluttergen_newton.py"),
+    notes="dm_control 1.0.50: from cluttergen_dm_control import ClutterArena; ClutterArena(scene=0) is "
+    "an arena for its composer. Newton 1.8: import cluttergen_newton; "
+    "cluttergen_newton.add_worlds(builder, [0, 1]).",
+)
+_OLD_NOTES = (
+    "For MuJoCo before 3.2.3, from 2.3.7 on: without the flag nativeccd, which those do not know."
+)
+_JOINT_NOTES = (
+    "Drawers and doors of the support can move: they come first in qpos. "
+    "Limits, masses, damping, friction and armature of the support's joints are those of its file "
+    "where it states them. Else masses are estimates, and friction is as much as what moves weighs; "
+    "where a joint would fall, friction holds it in any case."
+)
+
+
+def _mjcf_variant(is_old: bool, has_joints: bool) -> Format:
+    notes = [_OLD_NOTES] * is_old + [_JOINT_NOTES] * has_joints
+    writer = partial(_mjcf_text, names_detector=not is_old, has_joints=has_joints)
+    return replace(_MJCF, write_scene=_scene_writer(writer), scripts=(), notes=" ".join(notes))
+
+
+_MJCF_VARIANTS = {
+    (is_old, has_joints): _mjcf_variant(is_old, has_joints)
+    for is_old, has_joints in ((True, False), (False, True), (True, True))
+}
+"""MJCF by its options `old_mujoco` and `joints`."""
+_FORMER = {
+    "mjcf-old": ("the format 'mjcf' with `old_mujoco`", "format='mjcf' and `old_mujoco`"),
+    "mjcf-joints": ("the format 'mjcf' with `joints`", "format='mjcf' and `joints`"),
+    "arena": (
+        "another format: no version of Isaac Lab-Arena was ever seen to open this one",
+        "format='usd', which Isaac Sim opens",
+    ),
+}
+"""Formats of earlier versions: what is allowed instead, and what to try."""
 _ALL = (
-    Format(
-        "mjcf",
-        "MuJoCo: python -m mujoco.viewer --mjcf=scenes/NUMBER.xml; the keyframe `scene` holds the poses too.",
-        "xml",
-        _write_meshes,
-        _write_meshes,
-        _scene_writer(_mjcf_text),
-        scripts=("cluttergen_dm_control.py", "cluttergen_newton.py"),
-        notes="dm_control 1.0.50: from cluttergen_dm_control import ClutterArena; ClutterArena(scene=0) is "
-        "an arena for its composer. Newton 1.8: import cluttergen_newton; "
-        "cluttergen_newton.add_worlds(builder, [0, 1]).",
-    ),
-    Format(
-        "mjcf-old",
-        "MuJoCo before 3.2.3, from 2.3.7 on: as `mjcf`, without the flag nativeccd, which those do not know.",
-        "xml",
-        _write_meshes,
-        _write_meshes,
-        _scene_writer(partial(_mjcf_text, names_detector=False)),
-    ),
-    Format(
-        "mjcf-joints",
-        "MuJoCo, as `mjcf`, but drawers and doors of the support can move: they come first in qpos.",
-        "xml",
-        _write_meshes,
-        _write_meshes,
-        _scene_writer(partial(_mjcf_text, has_joints=True)),
-        notes="Limits, masses, damping, friction and armature of the support's joints are those of its file "
-        "where it states them. Else masses are estimates, and friction is as much as what moves weighs; "
-        "where a joint would fall, friction holds it in any case.",
-    ),
+    _MJCF,
     Format(
         "urdf",
         "PyBullet: python load_pybullet.py scenes/NUMBER.json (needs pybullet only; --direct opens no "
@@ -305,14 +323,25 @@ _ALL = (
         notes=_MOLMOSPACES_NOTES,
         takes_grasps=True,
     ),
-    replace(
-        _USD,
-        name="arena",
-        opens_in="Isaac Lab-Arena 0.4: cluttergen_arena.register() once Isaac has started, then "
-        "environment_runner.py --env_spec layouts/NAME.yaml --placement_layouts layouts/NAME.jsonl.",
-        write_scene=_usd("write_scene_arena"),
-        scripts=("cluttergen_arena.py",),
-        notes="Scenes of the same objects are rows of the same file.",
+    Format(
+        "moveit",
+        "MoveIt 1 or 2: PlanningScene::loadGeometryFromStream, or in RViz the panel MotionPlanning, Scene "
+        "Objects, Import.",
+        "scene",
+        None,
+        None,
+        _scene_writer(planning_scene),
+        takes_cameras=False,
+        notes=_MOVEIT_NOTES,
+    ),
+    Format(
+        "rerun",
+        "Rerun (pip install rerun-sdk): rerun scenes/NUMBER.rrd.",
+        "rrd",
+        None,
+        None,
+        _late("rerun", "write_scene_rerun"),
+        require=_late("rerun", "require_rerun"),
     ),
 )
 FORMATS = {each.name: each for each in _ALL}
@@ -321,7 +350,7 @@ FORMATS = {each.name: each for each in _ALL}
 
 def is_own(format: Format) -> bool:
     """Whether a format is a user's, not one of this package."""
-    return all(format is not each for each in _ALL)
+    return all(format is not each for each in (*_ALL, *_MJCF_VARIANTS.values()))
 
 
 def register_format(format: Format) -> Format:
@@ -345,17 +374,22 @@ def register_format(format: Format) -> Format:
     return format
 
 
-def find_format(format: str | Format) -> Format:
+def find_format(format: str | Format, *, old_mujoco: bool = False, joints: bool = False) -> Format:
     """The format of that name, or the one in `FILE.py:NAME` or `MODULE:NAME`, or the one that is given.
 
+    Args:
+      old_mujoco: MJCF for MuJoCo before 3.2.3. joints: MJCF in which the support's joints can move.
+
     Raises:
-      ConfigError: there is none.
+      ConfigError: there is none, or it is another one with an option of MJCF.
       MissingExtraError: it needs a package that is not installed.
     """
     if isinstance(format, str) and ":" in format:
         found = _load_format(format)
     elif isinstance(format, str) and format in FORMATS:
         found = FORMATS[format]
+    elif isinstance(format, str) and format in _FORMER:
+        raise ConfigError(f"format {format!r}, which is no more", *_FORMER[format])
     elif isinstance(format, str):
         raise ConfigError(
             f"format {format!r}",
@@ -368,7 +402,12 @@ def find_format(format: str | Format) -> Format:
     if not isinstance(found, Format) or is_own(found):
         _check_own(found)
     found.require()
-    return found
+    if not (old_mujoco or joints):
+        return found
+    if found.name != "mjcf":
+        given = " and ".join(["`old_mujoco`"] * old_mujoco + ["`joints`"] * joints)
+        raise ConfigError(f"{given} with the format {found.name!r}", "format='mjcf'")
+    return _MJCF_VARIANTS[old_mujoco, joints]
 
 
 def _check_own(format: object) -> None:
