@@ -17,7 +17,7 @@ from cluttergen_jax.files import write_atomically
 from cluttergen_jax.placement.methods.table import entry_of
 from cluttergen_jax.scene.bank.bank import Bank
 from cluttergen_jax.scene.bank.croissant import write_croissant
-from cluttergen_jax.scene.bank.record import READER, Bits, Recipe
+from cluttergen_jax.scene.bank.record import READER, Bits, Recipe, cut_runs
 from cluttergen_jax.scene.bank.stats import BankStats, stats_of
 from cluttergen_jax.scene.bank.table import (
     BY_HAND,
@@ -325,12 +325,13 @@ def _rows_of_request(recipe: Recipe) -> dict[str, str]:
 
 def _rows_of_cut(recipe: Recipe) -> dict[str, str]:
     """Of which bank it was cut; nothing where it was not."""
-    cut = recipe.get("cut")
-    if not isinstance(cut, dict):
+    runs = [str(first) if first == last else f"{first}-{last}" for first, last in cut_runs(recipe)]
+    if not runs:
         return {}
-    runs = [str(first) if first == last else f"{first}-{last}" for first, last in cut["scenes"]]
     shown = ", ".join(runs[:_MOST_RUNS]) + (", ..." if len(runs) > _MOST_RUNS else "")
-    return {"cut of": f"{cut['bank']}, scenes {shown} of the seed, here numbered from 0"}
+    return {
+        "cut of": f"{recipe['cut'].get('bank')}, scenes {shown} of the seed, here numbered from 0"
+    }
 
 
 def _stability(bank: Bank) -> str:

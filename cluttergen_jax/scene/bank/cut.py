@@ -22,6 +22,7 @@ from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.progress import track
 from cluttergen_jax.scene.bank.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.card import write_card
+from cluttergen_jax.scene.bank.record import cut_runs
 from cluttergen_jax.scene.bank.remote import check_is_here, is_url
 from cluttergen_jax.scene.bank.scene import missing_text
 from cluttergen_jax.scene.bank.writer import BankWriter, Objects
@@ -87,17 +88,12 @@ def number_of_seed(recipe: Mapping[str, Any], number: int) -> int:
     """
     if "cut" not in recipe:
         return number
-    try:
-        left = number
-        for first, last in recipe["cut"]["scenes"]:
-            if left <= last - first:
-                return int(first) + left
-            left -= last - first + 1
-    except (TypeError, ValueError, LookupError) as error:
-        raise BankError(
-            f"a bank whose record of what it was cut from is damaged ({error})"
-        ) from error
-    raise BankError(f"scene {number} of a bank that was cut", f"fewer than {number - left}")
+    left = number
+    for first, last in cut_runs(recipe):
+        if left <= last - first:
+            return first + left
+        left -= last - first + 1
+    raise BankError(f"scene {number} of a bank that was cut", f"fewer than {number - left + 1}")
 
 
 def _check_numbers(bank: Bank, numbers: Sequence[int], there: Sequence[int]) -> None:

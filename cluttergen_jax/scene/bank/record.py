@@ -177,6 +177,24 @@ def record_error(path: Path, error: Exception) -> BankError:
     )
 
 
+def cut_runs(recipe: Mapping[str, Any]) -> list[tuple[int, int]]:
+    """By which numbers the seed makes the scenes of a bank that was cut of another, in order.
+
+    Returns:
+      First and last of each run; nothing of a bank that was not cut.
+
+    Raises:
+      BankError: the recipe does not say it whole.
+    """
+    if "cut" not in recipe:
+        return []
+    try:
+        return [(int(first), int(last)) for first, last in recipe["cut"]["scenes"]]
+    except (TypeError, ValueError, LookupError) as error:
+        given = f"a bank whose record of what it was cut of is damaged ({error})"
+        raise BankError(given, hint="a copy of the bank that is whole") from error
+
+
 def check_bits(path: Path, ours: Bits, known: list[Bits]) -> None:
     """Refuses to mix scenes that one recipe makes differently (BankError)."""
     if ours not in known:
