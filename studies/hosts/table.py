@@ -90,13 +90,12 @@ _ALL = (
     ),
     Host(
         "lerobot",
-        "LeRobot",
+        "LeRobot, Gymnasium",
         "lerobot",
-        ("lerobot==0.6.1", "mujoco==3.8.0", "pyarrow", "gymnasium"),
+        ("lerobot==0.4.4", "mujoco==3.8.0", "pyarrow"),
         ("lerobot", "mujoco"),
         "yes",
         "ACT",
-        python="3.12",
     ),
     Host(
         "maniskill",

@@ -25,7 +25,7 @@ plane = TerrainEntityCfg(terrain_type="plane")
 cfg = ManagerBasedRlEnvCfg(
     decimation=_DECIMATION,
     scene=SceneCfg(num_envs=num_scenes, terrain=plane, entities=clutter.entities()),
-    sim=clutter.simulation(nconmax=400, njmax=1500),
+    sim=clutter.simulation(),
     events=clutter.events(),
     episode_length_s=10 * seconds,
 )
