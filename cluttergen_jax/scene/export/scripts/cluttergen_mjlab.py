@@ -276,8 +276,8 @@ class Clutter:
         """An object with so many parts as each variant of its slot has, so that mjlab leaves none empty.
 
         mjlab merges the meshes of variants into one model, in which only those of the first have a convex
-        hull, and where a variant has fewer parts, points without a mesh go on touching. So parts are given by
-        their points, of which MuJoCo makes a hull wherever they are, and specks take the empty places.
+        hull, and where a variant has fewer parts, colliding geoms without a mesh remain. So parts are given
+        by their points, of which MuJoCo makes a hull wherever they are, and specks take the empty places.
         """
         spec = _spec(self.bank.object_xml(name, _BODY))
         body = spec.body(_BODY)
