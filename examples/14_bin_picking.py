@@ -68,7 +68,8 @@ if __name__ == "__main__":
     print(", ".join(rows[0]))
     images = []
     for row in rows:
-        rgb, label = (np.array(Image.open(io.BytesIO(row[name]))) for name in ("rgb", "label"))
+        cells = (row["rgb"], row["label"])
+        rgb, label = (np.array(Image.open(io.BytesIO(each["bytes"]))) for each in cells)
         masks = rgb.copy()
         for number in np.unique(label[label >= 2]):
             colour = 255 * np.array(distinct_colour(int(number) - 2)[:3])

@@ -249,7 +249,7 @@ def test_coco_is_what_the_cameras_see_and_grows_without_a_change(bank, tmp_path)
         assert len(coco.imgs) == made.num_views[split]
         for number, image in coco.imgs.items():
             row = rows.pop((image["bank"], image["scene"], image["camera"]))
-            label = np.array(Image.open(io.BytesIO(row["label"])))
+            label = np.array(Image.open(io.BytesIO(row["label"]["bytes"])))
             seen = np.zeros_like(label)
             for each in coco.loadAnns(coco.getAnnIds(imgIds=number)):
                 seen[coco.annToMask(each) > 0] = FIRST_OBJECT + each["object"]
