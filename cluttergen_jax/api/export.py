@@ -137,8 +137,8 @@ def export(
             raise ConfigError(text, "none of these options", "leaving them out")
         check_is_here(bank.path)
         indices = good_indices(bank)
-        for text in local_paths(bank):
-            print(f"note: the bank's record names a path of this machine: {text}", file=sys.stderr)
+        for local in local_paths(bank):
+            print(f"note: the bank's record names a path of this machine: {local}", file=sys.stderr)
         objects = [bank.object(name) for name in sorted(bank.assets["objects"])]
         return export_bank(
             bank.path, bank.support, objects, indices, out, str(format), overwrite, robot or "panda"

@@ -73,7 +73,8 @@ def _text(out: Path, form: RowForm, num_views: Mapping[str, int], banks: Sequenc
     for bank in banks:
         assets |= {name: bank.object(name) for name in sorted(bank.assets["objects"])}
     supports = {bank.support.name: bank.support for bank in banks}
-    licences = [each.provenance.licence for each in (*assets.values(), *supports.values())]
+    licences = [each.provenance.licence for each in assets.values()]
+    licences += [each.provenance.licence for each in supports.values()]
     splits = {split: number for split, number in num_views.items() if number}
     ending = ENDINGS[form]
     files = [{"split": split, "path": f"{split}-[0-9]*.{ending}"} for split in splits]

@@ -67,7 +67,9 @@ class ClutterRobot(gym.Env):
 
     def render(self, mode: str = "rgb_array", **size: Any) -> np.ndarray:
         """u8[height, width, 3], of the environment's own size."""
-        return self.env.render()
+        picture = self.env.render()
+        assert picture is not None
+        return picture
 
     def close(self) -> None:
         """Frees what pictures are drawn with."""

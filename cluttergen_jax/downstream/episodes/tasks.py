@@ -378,7 +378,7 @@ class _LayoutJudge:
         run = self._execution
         goals = self._start.goals
         right = self._judge.is_right(goals)
-        away = [_distance(run, number) for number in np.flatnonzero(~right)]
+        away = [_distance(run, int(number)) for number in np.flatnonzero(~right)]
         errors = self._judge.errors(goals)[:, 0]
         return float(rearrange_progress(np, min(away, default=np.inf), run.is_touching, errors))
 
