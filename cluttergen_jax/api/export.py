@@ -128,10 +128,10 @@ def export(
             "joints": joints,
             "look": "" if str(look) == "plain" else look,
         }
-        given = [f"`{name}`" for name, value in options.items() if value]
-        if given:
-            text = f"{', '.join(given)} with the format {format!r}, which takes the whole bank"
-            if given == ["`scenes`"]:
+        asked = [f"`{name}`" for name, value in options.items() if value]
+        if asked:
+            text = f"{', '.join(asked)} with the format {format!r}, which takes the whole bank"
+            if asked == ["`scenes`"]:
                 hint = "`cluttergen cut`, which makes that bank, then this export of it"
                 raise ConfigError(text, "a bank of just these scenes", hint)
             raise ConfigError(text, "none of these options", "leaving them out")
