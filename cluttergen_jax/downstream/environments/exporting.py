@@ -57,7 +57,7 @@ def write_environment(folder: Path, robot: Any) -> str:
     try:
         import gymnasium  # noqa: F401
     except ModuleNotFoundError as error:
-        raise MissingExtraError("gym", "export --format lerobot") from error
+        raise MissingExtraError("gym", "the environment of an export `lerobot`") from error
     bank = load_bank(folder / "bank")
     stand = stand_beside(support_of(bank))
     worlds = {
