@@ -2,6 +2,8 @@
 
 import dataclasses
 from functools import cached_property
+from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -213,9 +215,10 @@ def moments_of_placing(start, rng):
 def test_both_judges_say_the_same_of_the_same_states(bank, task, moments_of, ends):
     found = set()
     ask = jax.jit(MjxJudge(task, bank[0].support, PERIOD, 1000).judge)
+    world: Any = SimpleNamespace(bank=bank, stand=stand_beside(bank[0].support))
     for seed in range(60):
         rng = np.random.default_rng(seed)
-        start = TASKS[task].begin(bank[seed % len(bank)], bank, seed % len(bank), rng)
+        start = TASKS[task].begin(bank[seed % len(bank)], world, seed % len(bank), rng)
         moments = list(moments_of(start, rng))
         told = told_by_gymnasium(task, start, moments)
         assert told_in_jax(ask, start, moments) == told

@@ -49,8 +49,8 @@ def trial_with(method, fields, **own):
     return Trial(spec, trials=3, **own)
 
 
-def test_no_field_is_refused_but_those_that_rows_differ_in():
-    assert set(cg.evaluate.spec_refused) == {"pool", "support", "method"}
+def test_no_field_is_refused_but_sets_and_those_that_rows_differ_in():
+    assert set(cg.evaluate.spec_refused) == {"pool", "support", "method", "sets"}
     with pytest.raises(ConfigError, match=r"evaluate\(pool='dining'\), each row has its own"):
         cg.evaluate(pool="dining")
 

@@ -307,7 +307,7 @@ def _read_model(folder: Path, name: str) -> mujoco.MjModel:
     """
     model = mujoco.MjModel.from_xml_path(str(folder / f"{name}.xml"))
     for file in (SHARED, name):
-        with np.load(folder / f"{file}.npz") as numbers:
+        with np.load(folder / f"{file}.npz", allow_pickle=False) as numbers:
             for field_name in numbers.files:
                 _set_exactly(model, field_name, numbers[field_name])
     return model

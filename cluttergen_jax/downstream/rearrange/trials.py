@@ -12,7 +12,8 @@ import numpy as np
 from cluttergen_jax.assets import find_pool
 from cluttergen_jax.config import FilmFormat
 from cluttergen_jax.downstream.digests import constants_hash
-from cluttergen_jax.downstream.rearrange import episode, judge, layouts, observe, order, task
+from cluttergen_jax.downstream.episodes import layout_judge
+from cluttergen_jax.downstream.rearrange import episode, layouts, observe, order, task
 from cluttergen_jax.downstream.rearrange.episode import rearrange_episode
 from cluttergen_jax.downstream.rearrange.layout_views import save_sheets
 from cluttergen_jax.downstream.rearrange.observe import Observer, TrueObserver
@@ -110,7 +111,7 @@ def _object_row(rows: Sequence[RearrangeResult], name: str) -> tuple[str, str]:
 @cache
 def rearrange_hash() -> str:
     """Hex digest of how rearrangements are planned, done and judged, but for what an observer does."""
-    return constants_hash(episode, judge, layouts, observe, order, task, arm=planner_hash())
+    return constants_hash(episode, layout_judge, layouts, observe, order, task, arm=planner_hash())
 
 
 @hold_out
