@@ -67,9 +67,10 @@ class Moment:
 class Shown:
     """In place of a simulation: moments that were drawn, one for each step of control."""
 
-    def __init__(self, moments):
+    def __init__(self, moments, stand):
         self.moments = moments
         self.step = 0
+        self.world = SimpleNamespace(stand=stand)
 
     @property
     def now(self):
@@ -100,7 +101,7 @@ class Shown:
 
 def told_by_gymnasium(task, start, moments):
     """The end and the step of control in which it came, of the judge of `make_robot_env`."""
-    shown = Shown(moments)
+    shown = Shown(moments, stand_beside(start.scene.support))
     judge = TASKS[task].judge(start, shown)
     for step in range(len(moments)):
         shown.step = step

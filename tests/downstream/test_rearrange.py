@@ -15,12 +15,10 @@ pytest.importorskip("ompl", reason="needs the extra robot")
 pytest.importorskip("toppra", reason="needs the extra robot")
 
 from cluttergen_jax.downstream.episodes.layout_judge import RearrangementJudge
+from cluttergen_jax.downstream.episodes.outcome import Cause
 from cluttergen_jax.downstream.rearrange import trials as rearrange_trials
 from cluttergen_jax.downstream.rearrange.episode import Moves, rearrange_episode
-from cluttergen_jax.downstream.rearrange.observe import (
-    Cause,
-    TrueObserver,
-)
+from cluttergen_jax.downstream.rearrange.observe import TrueObserver
 from cluttergen_jax.downstream.rearrange.task import (
     SETTINGS,
     RearrangeOptions,
