@@ -90,10 +90,10 @@ def write_package(folder: Path) -> None:
 def _copy_module(source: Path, target: Path) -> None:
     """A module whose imports of this package are of the copy."""
 
-    def renamed(found: re.Match[str]) -> str:
+    def name_in_copy(found: re.Match[str]) -> str:
         return f"{found[1]}from {copied_name(found[2])} import"
 
-    text = _IMPORT.sub(renamed, source.read_text(encoding="utf-8"))
+    text = _IMPORT.sub(name_in_copy, source.read_text(encoding="utf-8"))
     target.write_text(text, encoding="utf-8")
 
 

@@ -131,7 +131,7 @@ class ExportedWorld:
         self.model = _read_model(path, name)
         self.reader = Bank(self.folder / "bank")
         self.parts = PartNames(**{key: _frozen(each) for key, each in record["parts"].items()})
-        self.robot = RobotParts.found(self.model, self.parts)
+        self.robot = RobotParts.find(self.model, self.parts)
         table = record["gripper"]
         arrays = ("opening", "control", "joints", "depth", "side", "T_hand_tool")
         self.gripper = Gripper(

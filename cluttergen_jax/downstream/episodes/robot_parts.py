@@ -61,7 +61,7 @@ class RobotParts:
     is_arm: np.ndarray
 
     @classmethod
-    def found(cls, model: mujoco.MjModel, names: PartNames) -> Self:
+    def find(cls, model: mujoco.MjModel, names: PartNames) -> Self:
         """The parts of these names."""
         arm = [model.joint(name).id for name in names.joints]
         ctrl = np.array([model.actuator(name).id for name in names.actuators])

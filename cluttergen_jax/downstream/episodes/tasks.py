@@ -268,7 +268,7 @@ class _HandWatch:
         self._touched = None
 
 
-def _displaced(execution: WorldExecution, start: EpisodeStart) -> float:
+def _displacement(execution: WorldExecution, start: EpisodeStart) -> float:
     """Metres that another object is from where it stood, at most."""
     shift, _ = motion_between(execution.poses(), start.scene.poses)
     return float(np.delete(shift, start.target).max(initial=0.0))
@@ -309,7 +309,7 @@ class _GraspJudge:
         run = self.execution
         target = self.start.target
         height = run.pose(target)[2, 3] - self.start.scene.poses[target, 2]
-        known = (_distance(run, target), _displaced(run, self.start), run.is_touching, height)
+        known = (_distance(run, target), _displacement(run, self.start), run.is_touching, height)
         return float(grasp_progress(np, *known))
 
 
@@ -339,7 +339,12 @@ class _PlaceJudge:
         place = run.pose(self._target)[:2, 3] - np.asarray(region.center)
         side = np.abs(rotate_in_plane(place, -region.yaw)) - np.asarray(region.half_extents)
         away = float(np.linalg.norm(np.maximum(side, 0.0)))
-        known = (_distance(run, self._target), _displaced(run, self._start), run.is_touching, away)
+        known = (
+            _distance(run, self._target),
+            _displacement(run, self._start),
+            run.is_touching,
+            away,
+        )
         return float(place_progress(np, *known, False))
 
     def _is_on_stand(self) -> bool:

@@ -361,7 +361,7 @@ class Robot(RobotParts):
         cls, model: mujoco.MjModel, robot: RobotDescription | None = None, prefix: str | None = None
     ) -> Self:
         """The robot of a model, the Panda if not given; prefix: before its names, its own if not given."""
-        return cls.found(model, part_names(robot or find_robot(), prefix))
+        return cls.find(model, part_names(robot or find_robot(), prefix))
 
 
 def part_names(robot: RobotDescription, prefix: str | None = None) -> PartNames:
