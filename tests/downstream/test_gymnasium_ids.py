@@ -17,7 +17,6 @@ pytest.importorskip("toppra", reason="needs the extra robot")
 import gymnasium
 
 import cluttergen_jax as cg
-from cluttergen_jax.downstream.episodes.exported import IDS as EXPORTED
 from cluttergen_jax.downstream.episodes.progress import (
     LIFTED,
     grasp_progress,
@@ -55,10 +54,6 @@ def test_importing_the_package_imports_no_gymnasium_and_asking_for_it_changes_no
     )
     found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert found.stdout.split() == ["False", "False", "True", "9"], found.stderr
-
-
-def test_exports_bear_the_same_ids():
-    assert EXPORTED == IDS
 
 
 def test_make_gives_the_environment_of_make_env(bank):

@@ -28,6 +28,7 @@ from cluttergen_jax.downstream.episodes.tasks import TASKS
 from cluttergen_jax.downstream.episodes.world import BankRows, joints_of_objects
 from cluttergen_jax.downstream.words import RenderMode, RobotReward
 from cluttergen_jax.errors import ConfigError, closest
+from cluttergen_jax.gymnasium_ids import IDS
 
 FOLDER = "environment"
 """In the export: what is there of the robot."""
@@ -39,12 +40,6 @@ PLAIN = "plain"
 SHARED = "shared"
 """Arrays of numbers that both models have."""
 _GL = ("egl", "osmesa", "glfw")
-IDS = {
-    "cluttergen/Place-v1": "place",
-    "cluttergen/Grasp-v1": "grasp",
-    "cluttergen/Rearrange-v1": "rearrange",
-}
-"""Task by id of Gymnasium."""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ A bank with a script for a program that pins another MuJoCo or JAX: it reads the
 
 README.txt MANIFEST.json    how to use it; which scenes
 LICENSES.txt                the terms of what is in it
-SCRIPT bank_reader.py       to be imported from here; they need nothing of cluttergen_jax
+SCRIPTS bank_reader.py      to be imported from here; they need nothing of cluttergen_jax
 cluttergen_env/ environment/    of `lerobot`: the environment of a robot, and the robot
 bank/                       bank.json, scenes-*.parquet, assets, README.md with the terms
 """
@@ -41,7 +41,13 @@ from cluttergen_jax.kept_folder import lock_beside
 from cluttergen_jax.robot_environments import write_environment
 from cluttergen_jax.scene import Scene, scene_cameras
 from cluttergen_jax.scene.collection import check_alike
-from cluttergen_jax.scene.export.formats import FORMATS, Format, find_format, own_record
+from cluttergen_jax.scene.export.formats import (
+    FORMATS,
+    HOST_CHECKS,
+    Format,
+    find_format,
+    own_record,
+)
 from cluttergen_jax.scene.export.molmospaces import read_grasps, write_grasps
 from cluttergen_jax.scene.export.scene_json import cameras_record, objects_record
 from cluttergen_jax.scene.export.shapes import SUPPORT_FOLDER
@@ -207,12 +213,16 @@ class _Folder:
         self._save(MANIFEST, json.dumps(record, indent=1) + "\n")
         self._save(LICENCES, licences_text(first.support, assets, self._kind.scripts))
         self._save("README.txt", _readme(self._kind, len(self._records), first))
-        folder = importlib.resources.files("cluttergen_jax.scene.export") / "scripts"
-        for script in self._kind.scripts:
-            self._save(script, (folder / script).read_text(encoding="utf-8"))
+        for script, text in _read_scripts(self._kind.scripts).items():
+            self._save(script, text)
 
     def _save(self, name: str, text: str) -> None:
         (self._path / name).write_text(text, encoding="utf-8")
+
+
+def _read_scripts(names: Iterable[str]) -> dict[str, str]:
+    folder = importlib.resources.files("cluttergen_jax.scene.export") / "scripts"
+    return {name: (folder / name).read_text(encoding="utf-8") for name in names}
 
 
 def _readme(kind: Format, num_scenes: int, first: Scene) -> str:
@@ -309,13 +319,13 @@ class BankFormat:
     Attributes:
       name: as on the command line.
       opens_in: who reads it, and how, in a sentence.
-      script: in `export/scripts`.
+      scripts: in `export/scripts`.
       has_robot: the environment of a robot goes with it.
     """
 
     name: str
     opens_in: str
-    script: str
+    scripts: tuple[str, ...]
     has_robot: bool = False
 
 
@@ -324,20 +334,20 @@ _ALL = (
         "mjlab",
         "mjlab 1.6: from cluttergen_mjlab import Clutter; its entities(), events() and simulation() go into "
         "the configuration of an environment. Or: python cluttergen_mjlab.py train Cluttergen-Lift-Yam.",
-        "cluttergen_mjlab.py",
+        ("cluttergen_mjlab.py",),
     ),
     BankFormat(
         "playground",
         "MuJoCo Playground 0.2, beside cluttergen_jax[robot]: import cluttergen_playground, "
         "cluttergen_playground.register('ClutterPick'), then mujoco_playground.registry.load('ClutterPick').",
-        "cluttergen_playground.py",
+        ("cluttergen_playground.py", HOST_CHECKS),
     ),
     BankFormat(
         "lerobot",
         "LeRobot: push the folder to a hub as a model repository, then lerobot.envs.make_env("
         "'OWNER/NAME', n_envs=4, trust_remote_code=True). Without it: import env, then "
         "env.single('grasp') or gymnasium.make('cluttergen/Grasp-v1').",
-        "env.py",
+        ("env.py",),
         has_robot=True,
     ),
 )
@@ -378,7 +388,7 @@ def export_bank(
             for path in bank.glob(pattern):
                 copy = shutil.copytree if path.is_dir() else shutil.copy2
                 copy(path, fresh / "bank" / path.name)
-        terms = licences_text(support, objects, (kind.script,))
+        terms = licences_text(support, objects, kind.scripts)
         if kind.has_robot:
             terms += f"{write_environment(fresh, robot)}\n"
         record = {
@@ -389,10 +399,9 @@ def export_bank(
             "scenes": [int(index) for index in indices],
         }
         about = f"{len(indices)} scenes, exported by cluttergen_jax as {kind.name}."
-        scripts = package / "scene/export/scripts"
         files = {
             _READER: (package / _READER).read_text(encoding="utf-8"),
-            kind.script: (scripts / kind.script).read_text(encoding="utf-8"),
+            **_read_scripts(kind.scripts),
             LICENCES: terms,
             MANIFEST: json.dumps(record) + "\n",
             "README.txt": f"{about}\n\nOpen with {kind.opens_in}\n",

@@ -44,6 +44,8 @@ WriteObject = Callable[[Path, ObjectAsset, ContactConfig], None]
 WriteSupport = Callable[[Path, SupportAsset, ContactConfig], None]
 WriteScene = Callable[[Path, Scene], None]
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+HOST_CHECKS = "host_checks.py"
+"""A script that others import: what they ask of their host first."""
 
 
 @dataclass(frozen=True)
@@ -199,7 +201,7 @@ _MJCF = Format(
     _write_meshes,
     _write_meshes,
     _scene_writer(_mjcf_text),
-    scripts=("cluttergen_dm_control.py", "cluttergen_newton.py"),
+    scripts=("cluttergen_dm_control.py", "cluttergen_newton.py", HOST_CHECKS),
     notes="dm_control 1.0.50: from cluttergen_dm_control import ClutterArena; ClutterArena(scene=0) is "
     "an arena for its composer. Newton 1.8: import cluttergen_newton; "
     "cluttergen_newton.add_worlds(builder, [0, 1]).",
@@ -275,7 +277,7 @@ _ALL = (
         _write_meshes,
         _write_meshes,
         _scene_writer(maniskill_json),
-        scripts=("cluttergen_maniskill.py",),
+        scripts=("cluttergen_maniskill.py", HOST_CHECKS),
         takes_cameras=False,
     ),
     Format(
@@ -284,7 +286,7 @@ _ALL = (
         "scene='N').",
         "json",
         *_ROBOSUITE,
-        scripts=("cluttergen_robosuite.py",),
+        scripts=("cluttergen_robosuite.py", HOST_CHECKS),
         reserved_folder="robosuite",
         takes_cameras=False,
     ),
@@ -294,7 +296,7 @@ _ALL = (
         "writes LIBERO's task descriptions and initial states.",
         "json",
         *_ROBOSUITE,
-        scripts=("cluttergen_libero.py",),
+        scripts=("cluttergen_libero.py", HOST_CHECKS),
         reserved_folder="robosuite",
         takes_cameras=False,
     ),
@@ -306,7 +308,7 @@ _ALL = (
         _files(partial(robosuite_xml, region=True), "xml", "model"),
         _ROBOSUITE[1],
         _scene_writer(partial(scene_json, ending="xml", file_of=_robocasa_file)),
-        scripts=("cluttergen_robocasa.py",),
+        scripts=("cluttergen_robocasa.py", HOST_CHECKS),
         reserved_folder="robosuite",
         takes_cameras=False,
         object_folder=registry_folder,

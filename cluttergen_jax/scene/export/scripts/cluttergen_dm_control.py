@@ -12,34 +12,17 @@ every reset of the physics puts them back.
 """
 
 import copy
-import warnings
 import xml.etree.ElementTree as ET
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from dm_control import composer, mjcf
 from dm_control.locomotion.arenas import floors
+from host_checks import check_versions
 
 ROOT = Path(__file__).resolve().parent
 KNOWN = {"dm_control": ("1.0.50",), "mujoco": ("3.17.",)}
 """How the versions begin that this was run with."""
-
-
-def _check_versions():
-    for package, known in KNOWN.items():
-        try:
-            found = version(package)
-        except PackageNotFoundError:
-            found = "of no known version"
-        if not found.startswith(known):
-            warnings.warn(
-                f"{package} {found}; known: {', '.join(each.rstrip('.') for each in known)}. "
-                "Try: pip install dm_control==1.0.50 mujoco==3.17.0",
-                stacklevel=3,
-            )
-
-
-_check_versions()
+check_versions(KNOWN, "dm_control==1.0.50 mujoco==3.17.0")
 
 
 def scene_numbers():

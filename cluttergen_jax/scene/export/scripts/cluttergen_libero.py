@@ -21,9 +21,7 @@ scipy, termcolor, pyyaml, pillow and opencv-python. LIBERO asks for a folder whe
 import argparse
 import json
 import tempfile
-import warnings
 from functools import partial
-from importlib.metadata import PackageNotFoundError, version
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
@@ -32,6 +30,7 @@ from unittest.mock import patch
 import mujoco
 import numpy as np
 import torch
+from host_checks import check_path, check_versions
 from libero.libero.benchmark import Benchmark, Task, register_benchmark
 from libero.libero.envs import OBJECTS_DICT, TASK_MAPPING, bddl_base_domain
 from libero.libero.envs.bddl_base_domain import BDDLBaseDomain, register_problem
@@ -43,13 +42,10 @@ from robosuite.models.tasks import ManipulationTask
 from robosuite.utils.mjcf_utils import array_to_string, new_body, string_to_array
 
 ROOT = Path(__file__).resolve().parent
-if "robosuite" in ROOT.parts:
-    raise ValueError(
-        f"{ROOT} has a folder called 'robosuite', after which robosuite looks for files of its own; "
-        "rename it or move the export"
-    )
+check_path(ROOT)
 KNOWN = {"robosuite": ("1.4.",), "mujoco": ("2.3.", "3.0.", "3.1.", "3.2.", "3.3.", "3.4.", "3.5.")}
 """How the versions begin that this was run with."""
+check_versions(KNOWN, "robosuite==1.4.0 mujoco==3.3.7 beside libero")
 # Where LIBERO's robot stands at LIBERO's own table, and how high that is; its cameras are set to both.
 _LIBERO_BASE = (-0.66, 0.0, 0.0)
 _LIBERO_TOP = 0.9
@@ -67,23 +63,6 @@ _SCENES = {
     for path in sorted((ROOT / "scenes").glob("*.json"))
 }
 _SUPPORT = next(iter(_SCENES.values()))["support"]
-
-
-def _check_versions():
-    for package, known in KNOWN.items():
-        try:
-            found = version(package)
-        except PackageNotFoundError:
-            found = "of no known version"
-        if not found.startswith(known):
-            warnings.warn(
-                f"{package} {found}; known: {', '.join(each.rstrip('.') for each in known)}. "
-                "Try: pip install robosuite==1.4.0 mujoco==3.3.7 beside libero",
-                stacklevel=3,
-            )
-
-
-_check_versions()
 
 
 def scene_numbers():

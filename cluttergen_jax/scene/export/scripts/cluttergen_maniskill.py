@@ -9,14 +9,13 @@ the scene's initial state as its only environment state (and states.json beside 
 
 import argparse
 import json
-import warnings
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import h5py
 import numpy as np
 import sapien
 import torch
+from host_checks import check_versions
 from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.sensors.camera import CameraConfig
 from mani_skill.utils import sapien_utils
@@ -27,26 +26,10 @@ from mani_skill.utils.structs.pose import Pose
 ROOT = Path(__file__).resolve().parent
 KNOWN = {"mani_skill": ("3.",)}
 """How the versions begin that this was run with."""
+check_versions(KNOWN, "mani_skill==3.0.1")
 ENV_ID = "ClutterGenScene-v1"
 _GAP = 0.15
 """Metres from the support and what overhangs it to the middle of the robot's base."""
-
-
-def _check_versions():
-    for package, known in KNOWN.items():
-        try:
-            found = version(package)
-        except PackageNotFoundError:
-            found = "of no known version"
-        if not found.startswith(known):
-            warnings.warn(
-                f"{package} {found}; known: {', '.join(each.rstrip('.') for each in known)}. "
-                "Try: pip install mani_skill==3.0.1",
-                stacklevel=3,
-            )
-
-
-_check_versions()
 
 
 def scene_numbers():

@@ -12,35 +12,18 @@ body of its own is filtered against the floor, and with such filters Newton take
 heterogeneous geom collision graph exceeds the MuJoCo mask compiler's capacity").
 """
 
-import warnings
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import newton
+from host_checks import check_versions
 
 ROOT = Path(__file__).resolve().parent
 KNOWN = {"newton": ("1.8.",), "mujoco": ("3.17.",)}
 """How the versions begin that this was run with."""
+check_versions(KNOWN, "'newton[sim]==1.8.0' trimesh scipy")
 _CONTACTS = 40
 _ROWS = 150
 """Room for contacts and rows of constraints, for each object of a world."""
-
-
-def _check_versions():
-    for package, known in KNOWN.items():
-        try:
-            found = version(package)
-        except PackageNotFoundError:
-            found = "of no known version"
-        if not found.startswith(known):
-            warnings.warn(
-                f"{package} {found}; known: {', '.join(each.rstrip('.') for each in known)}. "
-                "Try: pip install 'newton[sim]==1.8.0' trimesh scipy",
-                stacklevel=3,
-            )
-
-
-_check_versions()
 
 
 def scene_numbers():

@@ -22,14 +22,13 @@ With a robot of your own, or another reward, extend the class:
     clutter.register("MyPick", "bank", env_class=MyPick)
 """
 
-import warnings
 from functools import partial
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import jax
 import mujoco
 import numpy as np
+from host_checks import check_versions
 from ml_collections import config_dict
 from mujoco_playground import manipulation, registry
 from mujoco_playground._src import mjx_env
@@ -38,26 +37,10 @@ import cluttergen_jax as cg
 
 KNOWN = {"playground": ("0.2.",), "mujoco": ("3.17.",), "mujoco-mjx": ("3.17.",)}
 """How the versions begin that this was run with."""
+check_versions(KNOWN, "playground==0.2.0 'cluttergen_jax[robot]'")
 _SECONDS = {"grasp": 15.0, "place": 40.0}
 _WATCHED = 2.0
 """Seconds for which an object that was let go is watched."""
-
-
-def _check_versions():
-    for package, known in KNOWN.items():
-        try:
-            found = version(package)
-        except PackageNotFoundError:
-            found = "of no known version"
-        if not found.startswith(known):
-            warnings.warn(
-                f"{package} {found}; known: {', '.join(each.rstrip('.') for each in known)}. "
-                "Try: pip install playground==0.2.0 'cluttergen_jax[robot]'",
-                stacklevel=3,
-            )
-
-
-_check_versions()
 
 
 def default_config(task="grasp"):

@@ -11,35 +11,15 @@ Each object is a category of its own, or of what its synset says, in the registr
 
 import json
 import warnings
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from xml.etree import ElementTree
 
+from host_checks import check_path, check_versions
+
 ROOT = Path(__file__).resolve().parent
-if "robosuite" in ROOT.parts:
-    raise ValueError(
-        f"{ROOT} has a folder called 'robosuite', after which robosuite looks for files of its own; "
-        "rename it or move the export"
-    )
+check_path(ROOT)
 KNOWN = {"robosuite": ("1.5.",)}
 """How the versions begin that this was run with."""
-
-
-def _check_versions():
-    for package, known in KNOWN.items():
-        try:
-            found = version(package)
-        except PackageNotFoundError:
-            # Of a folder of sources, which has no number.
-            continue
-        if not found.startswith(known):
-            warnings.warn(
-                f"{package} {found}; known: {', '.join(each.rstrip('.') for each in known)}. "
-                "Try: pip install robosuite==1.5.2 mujoco==3.3.7 beside robocasa",
-                stacklevel=3,
-            )
-
-
 REGISTRY = "cluttergen"
 
 
@@ -77,7 +57,7 @@ def register(graspable=True, **properties):
     Returns:
       The names of the categories.
     """
-    _check_versions()
+    check_versions(KNOWN, "robosuite==1.5.2 mujoco==3.3.7 beside robocasa")
     from robocasa.models.objects import kitchen_object_utils as kitchen
 
     physics = json.loads((ROOT / "MANIFEST.json").read_text(encoding="utf-8"))["physics"]

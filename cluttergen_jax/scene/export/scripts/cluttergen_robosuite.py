@@ -11,47 +11,26 @@ for demonstrations (it needs h5py, too). robosuite 1.5.2 works with MuJoCo 3.3, 
 import argparse
 import datetime
 import json
-import warnings
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import robosuite
+from host_checks import check_path, check_versions
 from robosuite.environments.manipulation.manipulation_env import ManipulationEnv
 from robosuite.models.arenas import EmptyArena
 from robosuite.models.objects import MujocoXMLObject
 from robosuite.models.tasks import ManipulationTask
 
 ROOT = Path(__file__).resolve().parent
-if "robosuite" in ROOT.parts:
-    raise ValueError(
-        f"{ROOT} has a folder called 'robosuite', after which robosuite looks for files of its own; "
-        "rename it or move the export"
-    )
+check_path(ROOT)
 KNOWN = {"robosuite": ("1.5.",), "mujoco": ("3.2.", "3.3.")}
 """How the versions begin that this was run with."""
+check_versions(KNOWN, "robosuite==1.5.2 mujoco==3.3.7")
 _TABLE_HEIGHT = 0.8
 """Height of robosuite's own tables, beside which its robots stand."""
 _GAP = 0.2
 """Metres from the support and what overhangs it to the middle of the robot's base."""
-
-
-def _check_versions():
-    for package, known in KNOWN.items():
-        try:
-            found = version(package)
-        except PackageNotFoundError:
-            found = "of no known version"
-        if not found.startswith(known):
-            warnings.warn(
-                f"{package} {found}; known: {', '.join(each.rstrip('.') for each in known)}. "
-                "Try: pip install robosuite==1.5.2 mujoco==3.3.7",
-                stacklevel=3,
-            )
-
-
-_check_versions()
 
 
 def scene_numbers():
