@@ -44,8 +44,10 @@ def place_progress(
 ) -> Any:
     """Of placing: the tool comes near, the hand touches, the object nears the region, and lies there let go.
 
-    Args: as of `grasp_progress`; away: of the object from the region in plan; is_watching: it was let go
-      there, and is watched.
+    Args:
+      distance, displaced, is_held: as of `grasp_progress`.
+      away: of the object from the region in plan.
+      is_watching: it was let go there, and is watched.
     """
     carried = 0.2 * nearness(distance) + xp.where(is_held, 0.2 + 0.4 * nearness(away), 0.0)
     carried = xp.where((away == 0) & ~is_held, 0.8, carried)
