@@ -62,6 +62,7 @@ def test_robocasa_is_told_of_objects_by_kind(folder_of, monkeypatch):
     for name in ("robocasa", "robocasa.models"):
         monkeypatch.setitem(sys.modules, name, ModuleType(name))
     monkeypatch.setitem(sys.modules, "robocasa.models.objects", package)
+    monkeypatch.syspath_prepend(folder_of("robocasa"))
     module = runpy.run_path(str(folder_of("robocasa") / "cluttergen_robocasa.py"))
     assert (
         module["register"](washable=True)
@@ -244,9 +245,9 @@ def bank(tmp_path_factory):
 
 
 def test_a_bank_goes_with_its_script(bank, tmp_path):
-    for format, script in (
-        ("mjlab", "cluttergen_mjlab"),
-        ("playground", "cluttergen_playground"),
+    for format, script, others in (
+        ("mjlab", "cluttergen_mjlab", ()),
+        ("playground", "cluttergen_playground", ("host_checks.py",)),
     ):
         folder = cg.export(bank, tmp_path / format, format)
         assert {path.name for path in folder.iterdir()} == {
@@ -257,6 +258,7 @@ def test_a_bank_goes_with_its_script(bank, tmp_path):
                 "bank",
                 "bank_reader.py",
                 f"{script}.py",
+                *others,
             )
         }
         record = json.loads((folder / "MANIFEST.json").read_text())

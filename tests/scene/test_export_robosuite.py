@@ -25,7 +25,8 @@ def test_other_formats_and_other_names_are_written(scene, tmp_path):
         assert (export_scenes([scene], place, format) / "scenes").is_dir()
 
 
-def test_an_export_that_was_moved_into_such_a_folder_says_so(folder_of, tmp_path):
+def test_an_export_that_was_moved_into_such_a_folder_says_so(folder_of, tmp_path, monkeypatch):
     moved = shutil.copytree(folder_of("robocasa"), tmp_path / "robosuite" / "out")
+    monkeypatch.syspath_prepend(moved)
     with pytest.raises(ValueError, match="called 'robosuite'"):
         runpy.run_path(str(moved / "cluttergen_robocasa.py"))
