@@ -32,6 +32,8 @@ bodies = {thing.name: model.body_name2id(thing.root_body) for thing in env.objec
 report = {
     "mass": {name: float(model.body_mass[body]) for name, body in bodies.items()},
     "before": poses(),
+    "hand": float(env.sim.data.site_xpos[env.robots[0].eef_site_id["right"]][2]),
+    "highest": env.record["bounds"][1][2],
 }
 for _ in range(round(seconds * env.control_freq)):
     env.step(np.zeros(env.action_dim))

@@ -31,6 +31,8 @@ _TABLE_HEIGHT = 0.8
 """Height of robosuite's own tables, beside which its robots stand."""
 _GAP = 0.2
 """Metres from the support and what overhangs it to the middle of the robot's base."""
+_HEADROOM = 0.17
+"""Metres from the top of such a table to the Panda's fingers in its first posture, less 3 cm."""
 
 
 def scene_numbers():
@@ -73,8 +75,10 @@ class ClutterGenScene(ManipulationEnv):
         support = self.record["support"]
         x = self.record["bounds"][0][0] - _GAP
         y = support["region"]["center"][1]
+        # Higher where something would reach up to the hand.
+        top = max(support["top"], self.record["bounds"][1][2] - _HEADROOM)
         for robot in self.robots:
-            robot.robot_model.set_base_xpos([x, y, support["top"] - _TABLE_HEIGHT])
+            robot.robot_model.set_base_xpos([x, y, top - _TABLE_HEIGHT])
         arena = EmptyArena()
         arena.set_origin([0, 0, 0])
         self.support = _thing(support["file"], "support", None)
