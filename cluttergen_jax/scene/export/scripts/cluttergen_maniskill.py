@@ -98,8 +98,10 @@ class ClutterGenSceneEnv(BaseEnv):
         for box in support["boxes"]:
             place = _pose(box["center"], box["quaternion_wxyz"])
             builder.add_box_collision(place, box["half_extents"], self._contact)
-            if not support["visuals"]:
-                builder.add_box_visual(place, box["half_extents"], self._paint(box["rgba"]))
+            paint = None if support["visuals"] else self._paint(box["rgba"])
+            # Without one, SAPIEN would make a material, which wants a renderer.
+            if paint is not None:
+                builder.add_box_visual(place, box["half_extents"], paint)
         for part in support["parts"]:
             path = str(ROOT / support["folder"] / part)
             builder.add_convex_collision_from_file(path, material=self._contact)
