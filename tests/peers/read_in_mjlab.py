@@ -59,10 +59,18 @@ for _ in range(round(seconds / (cfg.decimation * cfg.sim.mujoco.timestep))):
     shift = np.fmax(shift, np.where(np.isfinite(moved), moved, 1e6))
 
 model = env.sim.mj_model
-masses = env.sim.model.body_mass.numpy()
-friction = env.sim.model.geom_friction.numpy()
-meshes = env.sim.wp_model.geom_dataid.numpy()
-materials = env.sim.wp_model.geom_matid.numpy()
+
+
+def rows(values):
+    """A row for each world; what is the same in all has one row there."""
+    found = values.numpy()
+    return np.broadcast_to(found, (num_worlds, *found.shape[1:]))
+
+
+masses = rows(env.sim.model.body_mass)
+friction = rows(env.sim.model.geom_friction)
+meshes = rows(env.sim.wp_model.geom_dataid)
+materials = rows(env.sim.wp_model.geom_matid)
 bodies = [model.body(index).name for index in range(model.nbody)]
 sets = clutter.sets[clutter.sets_of_worlds(num_worlds)]
 touching = (model.geom_contype > 0) & (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
@@ -87,7 +95,7 @@ for world in range(num_worlds):
             "poses": start[world].tolist(),
             "starts": [each[world].tolist() for each in starts],
             "mass": [float(masses[world, body]) for body in own],
-            "friction": [float(friction[world % len(friction), geom, 0]) for geom in first],
+            "friction": [float(friction[world, geom, 0]) for geom in first],
             "priority": [int(model.geom_priority[geom]) for geom in first],
             "colour": [seen_colour(world, body) for body in own],
             "shift": shift[world].tolist(),
