@@ -54,6 +54,7 @@ from cluttergen_jax.api.import_ import import_pool, import_support
 from cluttergen_jax.api.render import make_dataset, render, view
 from cluttergen_jax.api.train import train
 from cluttergen_jax.display import draw_with
+from cluttergen_jax.downstream.words import ENV_IDS
 from cluttergen_jax.graspable import answer_with
 from cluttergen_jax.gymnasium_ids import register_ids
 from cluttergen_jax.judging.api import certify, judge, verify
@@ -145,7 +146,7 @@ write_environments_with(
     lambda: import_module("cluttergen_jax.downstream.environments.exporting").write_environment
 )
 # `gymnasium.make("cluttergen/Place-v1")`, whichever of the two is imported first.
-register_ids()
+register_ids(ENV_IDS)
 
 _FORMER = {
     "BankArrays": "generation.bank:BankArrays",

@@ -5,34 +5,31 @@ from __future__ import annotations
 import importlib.abc
 import importlib.machinery
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from types import ModuleType
 from typing import Any
 
 _ENTRY = "cluttergen_jax.downstream.environments.api:make_robot_env"
-IDS = {
-    "cluttergen/Place-v1": "place",
-    "cluttergen/Grasp-v1": "grasp",
-    "cluttergen/Rearrange-v1": "rearrange",
-}
-"""Task of `robot.make_env` by id."""
 
 
-def register_ids() -> None:
-    """Makes the ids known now if Gymnasium is imported already, else as soon as it is.
+def register_ids(tasks: Mapping[str, str]) -> None:
+    """Makes ids known now if Gymnasium is imported already, else as soon as it is.
 
     Gymnasium itself looks for no plugins, and importing it here would cost everybody who trains nothing.
+
+    Args:
+      tasks: of `robot.make_env`, by id.
     """
     if "gymnasium" in sys.modules:
-        _register()
+        _register(tasks)
     elif not any(isinstance(finder, _Waiting) for finder in sys.meta_path):
-        sys.meta_path.insert(0, _Waiting())
+        sys.meta_path.insert(0, _Waiting(tasks))
 
 
-def _register() -> None:
+def _register(tasks: Mapping[str, str]) -> None:
     from gymnasium.envs.registration import register, registry
 
-    for name, task in IDS.items():
+    for name, task in tasks.items():
         if name not in registry:
             register(name, entry_point=_ENTRY, kwargs={"task": task})
 
@@ -42,6 +39,9 @@ class _Waiting(importlib.abc.MetaPathFinder):
 
     Who only asks whether it is installed (`importlib.util.find_spec`) does not make it go.
     """
+
+    def __init__(self, tasks: Mapping[str, str]) -> None:
+        self._tasks = tasks
 
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
@@ -53,15 +53,16 @@ class _Waiting(importlib.abc.MetaPathFinder):
         found = (each.find_spec(name, path, target) for each in others)
         spec = next((each for each in found if each is not None), None)
         if spec is not None and spec.loader is not None:
-            spec.loader = _Registering(spec.loader)
+            spec.loader = _Registering(spec.loader, self._tasks)
         return spec
 
 
 class _Registering(importlib.abc.Loader):
     """Loads a module as its own loader does, then registers."""
 
-    def __init__(self, own: Any) -> None:
+    def __init__(self, own: Any, tasks: Mapping[str, str]) -> None:
         self._own = own
+        self._tasks = tasks
 
     def create_module(self, spec: importlib.machinery.ModuleSpec) -> ModuleType | None:
         """As its own loader."""
@@ -75,4 +76,4 @@ class _Registering(importlib.abc.Loader):
         module.__loader__ = self._own
         self._own.exec_module(module)
         sys.meta_path[:] = [each for each in sys.meta_path if not isinstance(each, _Waiting)]
-        _register()
+        _register(self._tasks)

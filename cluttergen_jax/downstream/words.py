@@ -29,6 +29,13 @@ GraspRule = Literal["vgn", "strict"]
 PadSource = Literal["scene", "model", "robosuite", "maniskill"]
 GraspFormat = Literal["vgn", "giga", "acronym", "contact_graspnet", "graspnet"]
 
+ENV_IDS: dict[str, RobotEnvTask] = {
+    "cluttergen/Place-v1": "place",
+    "cluttergen/Grasp-v1": "grasp",
+    "cluttergen/Rearrange-v1": "rearrange",
+}
+"""Task of `robot.make_env` by id of Gymnasium."""
+
 MAX_PAIRS = 10_000_000
 """Of a split of a data set: a larger number is a slip of the hand."""
 

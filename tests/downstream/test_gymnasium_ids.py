@@ -23,8 +23,8 @@ from cluttergen_jax.downstream.episodes.progress import (
     place_progress,
     rearrange_progress,
 )
+from cluttergen_jax.downstream.words import ENV_IDS
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.gymnasium_ids import IDS
 from tests.helpers.placing import write_bank
 
 PEERS = Path(__file__).parents[1] / "peers"
@@ -42,7 +42,7 @@ def test_ids_are_known_whichever_is_imported_first(imports):
     program = f"{imports}; print(*(each for each in gymnasium.registry if 'cluttergen' in each))"
     found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert found.returncode == 0, found.stderr
-    assert found.stdout.split() == list(IDS)
+    assert found.stdout.split() == list(ENV_IDS)
 
 
 def test_importing_the_package_imports_no_gymnasium_and_asking_for_it_changes_nothing():

@@ -38,7 +38,6 @@ MODULES = {
     "cluttergen_jax.config": "config",
     "cluttergen_jax.errors": "errors",
     "cluttergen_jax.geometry": "geometry",
-    "cluttergen_jax.gymnasium_ids": "gymnasium_ids",
     "cluttergen_jax.physics": "standing",
     "cluttergen_jax.downstream.transforms": "transforms",
     "cluttergen_jax.downstream.words": "words",

@@ -26,9 +26,8 @@ from cluttergen_jax.downstream.episodes.env import RobotAction, RobotEnv, check_
 from cluttergen_jax.downstream.episodes.robot_parts import Gripper, PartNames, RobotParts
 from cluttergen_jax.downstream.episodes.tasks import TASKS
 from cluttergen_jax.downstream.episodes.world import BankRows, joints_of_objects
-from cluttergen_jax.downstream.words import RenderMode, RobotReward
+from cluttergen_jax.downstream.words import ENV_IDS, RenderMode, RobotReward
 from cluttergen_jax.errors import ConfigError, closest
-from cluttergen_jax.gymnasium_ids import IDS
 
 FOLDER = "environment"
 """In the export: what is there of the robot."""
@@ -270,7 +269,7 @@ def make_env(
 def register_ids(folder: str | Path | None = None) -> None:
     """Makes the ids known to Gymnasium where nobody has; folder: the export that they mean."""
     usual = {} if folder is None else {"folder": str(folder)}
-    for name, task in IDS.items():
+    for name, task in ENV_IDS.items():
         if name not in gymnasium.registry:
             gymnasium.register(
                 name, entry_point=f"{__name__}:make_env", kwargs={**usual, "task": task}
