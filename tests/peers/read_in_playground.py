@@ -54,11 +54,13 @@ def poses_of(state):
 
 
 begun = state
-for _ in range(num_steps - 1):
+first = step(state, jax.numpy.zeros((2, env.action_size)))
+state = first
+for _ in range(num_steps - 2):
     state = step(state, jax.numpy.zeros((2, env.action_size)))
 shift = np.linalg.norm((poses_of(state) - poses_of(begun))[..., :3], axis=-1)
 after = step(state, jax.numpy.zeros((2, env.action_size)))
-costly = step(begun, jax.numpy.zeros((2, env.action_size)).at[:, 0].set(1.0))
+costly = step(first, jax.numpy.zeros((2, env.action_size)).at[:, 0].set(1.0))
 own, _ = randomizer(bare.mjx_model)
 start = begun.info["start"]
 report = [
@@ -73,6 +75,7 @@ report = [
         "progress": float(state.metrics["progress"][world]),
         "done": float(state.done[world]),
         "reward": float(costly.reward[world]),
+        "gained": float((costly.metrics["progress"] - first.metrics["progress"])[world]),
         "masses": np.asarray(own.body_mass)[world, bare.world.bodies].tolist(),
         "friction": float(np.asarray(own.geom_friction)[world, 0, 0]),
         "late": [float(each.done[world]) for each in (state, after)],

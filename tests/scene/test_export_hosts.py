@@ -306,8 +306,10 @@ def test_playground_resets_to_scenes(tmp_path):
     assert (masses >= 0.8 * np.array(told["usual"]) - 1e-6).all()
     assert (masses <= 1.25 * np.array(told["usual"]) + 1e-6).all()
     assert told["worlds"][0]["friction"] != told["worlds"][1]["friction"]
-    # Less one for the action, and what it changes of the progress, to either side.
-    assert all(abs(world["reward"] + 1.0) < 0.5 for world in told["worlds"])
+    # What is gained of the progress, which may be lost again, less one for the action.
+    for world in told["worlds"]:
+        assert world["reward"] == pytest.approx(world["gained"] - 1.0, abs=1e-5)
+        assert abs(world["gained"]) < 0.5
     assert told["dt"] == pytest.approx(0.05)
 
 
