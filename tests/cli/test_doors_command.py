@@ -98,6 +98,7 @@ def test_pictures_show_doors_closed_and_where_asked_open(bank, tmp_path):
     assert seen["open"] > {0, 1}
 
 
+@pytest.mark.slow
 def test_what_is_placed_later_is_placed_with_the_doors_open_again(bank, tmp_path):
     more = cg.generate(
         tmp_path / "more",
@@ -118,6 +119,7 @@ def test_what_is_placed_later_is_placed_with_the_doors_open_again(bank, tmp_path
             np.testing.assert_allclose(row.poses[place, :3], pose[:3], atol=0.001)
 
 
+@pytest.mark.slow
 def test_doors_stay_open_where_that_is_asked_for(tmp_path):
     out = tmp_path / "open"
     assert (

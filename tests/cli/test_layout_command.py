@@ -54,6 +54,7 @@ def test_the_status_of_a_check_says_whether_a_layout_is_sound(tmp_path, capsys):
     assert main(["layout", "check", str(path), "--stability", "x"]) == 2
 
 
+@pytest.mark.slow
 def test_a_sentence_becomes_a_bank_whose_record_names_it(model, tmp_path, capsys):
     out = str(tmp_path / "bank")
     words = ["layout", "ask", "a meal", "--model", model, "--pool", "dining+kitchen", "--out", out]

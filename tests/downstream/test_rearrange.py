@@ -34,6 +34,7 @@ from tests.helpers.arm import PLACES, SCENE, standing, task_of
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.slow
 def test_two_boxes_change_places_by_way_of_a_third_and_the_truth_is_read_by_two_alone(monkeypatch):
     readers = set()
     poses = Execution.poses

@@ -204,6 +204,7 @@ def withheld(monkeypatch):
     return told
 
 
+@pytest.mark.slow
 def test_a_box_is_placed_by_what_cameras_see_alone(scene, placer, grasps, withheld):
     result = robot_episode(scene, 2, grasps, 1, placer)
     assert result.outcome == Outcome.SUCCESS, result

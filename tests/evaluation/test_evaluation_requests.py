@@ -125,6 +125,7 @@ def test_scenes_of_a_row_are_those_of_generate(runner, tmp_path):
     same_as_generated(runner, tmp_path / "bank", spec)
 
 
+@pytest.mark.slow
 def test_rows_of_shelves_are_those_of_generate(runner, tmp_path):
     spec = dataclasses.replace(SMALL, method="drop", shelf=3, weights="mug*=3", balance="label")
     outcome = same_as_generated(runner, tmp_path / "bank", spec)

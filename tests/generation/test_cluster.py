@@ -47,6 +47,7 @@ def test_an_item_whose_worker_dies_is_given_to_another(ray, tmp_path):
     assert len(list(tmp_path.iterdir())) == MOST_DEATHS - 1
 
 
+@pytest.mark.slow
 def test_an_item_that_always_kills_its_worker_is_named(ray, tmp_path):
     with pytest.raises(ClutterGenError, match="3 worker processes died over number 4 of 12"):
         list(each_on(TWO, work.Deaths(tmp_path, 100), range(12), "number"))

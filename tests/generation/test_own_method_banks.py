@@ -77,6 +77,7 @@ def test_a_sampler_of_it_is_pickled(bank, pool):
     assert bool(seen.is_success) == read_bank(bank.path).rows([0])[0].is_success
 
 
+@pytest.mark.slow
 def test_several_of_them_stand_in_one_table(pool, tmp_path):
     methods = (at_rest, f"{FILE}:near_middle", "random")
     found = cg.evaluate(methods, (pool,), num_objects=2, trials=4, out=tmp_path / "rows")

@@ -87,6 +87,7 @@ def test_a_bank_with_ruin_is_replayed_and_verified(ruined):
     assert all(found.stands for found in cg.verify(ruined.path, VerifyConfig(seconds=1.0)).scenes)
 
 
+@pytest.mark.slow
 def test_a_bank_in_a_polygon_is_set_up_in_that_polygon(tmp_path, pool):
     corners = "-0.2,-0.2;0.2,-0.2;0.0,0.2"
     asked = {"num_objects": 2, "method": "drop", "region": corners}

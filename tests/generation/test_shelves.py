@@ -69,6 +69,7 @@ def test_draws_are_even_weighted_and_balanced():
         draw_shelf(keys[0], 6, weights)
 
 
+@pytest.mark.slow
 def test_a_scene_is_that_of_its_seed_and_number(bank, sample, many):
     key = jax.random.key(5)
     shelves = []
@@ -92,6 +93,7 @@ def test_a_scene_is_that_of_its_seed_and_number(bank, sample, many):
     assert [len(names) for names in shelves] == [4, 4]
 
 
+@pytest.mark.slow
 def test_another_shelf_and_the_first_one_again(sample, many):
     keys = jax.random.split(jax.random.key(1), 8)
     first = jax.device_get(many(sample, keys))

@@ -81,6 +81,7 @@ def evaluations():
     return evaluate, given
 
 
+@pytest.mark.slow
 def test_a_run_is_evaluated_once_and_stored_with_what_was_found(tmp_path):
     evaluate, given = evaluations()
     for _ in range(2):

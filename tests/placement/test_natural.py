@@ -42,6 +42,7 @@ def off_edges(yaw):
     return np.abs((yaw + np.pi / 4) % (np.pi / 2) - np.pi / 4)
 
 
+@pytest.mark.slow
 def test_boxes_are_mostly_along_the_edges_and_not_always():
     share = np.mean(off_edges(yaws_of(rules_of("stapler"))) < DEGREES)
     # 0.8, and a ninth of the rest by chance: 0.822, give or take five standard deviations.
@@ -56,6 +57,7 @@ def test_fronts_face_the_seat(seat):
     assert np.all(front @ SEATS[seat] > np.cos(np.radians(26)))
 
 
+@pytest.mark.slow
 def test_fronts_face_the_seat_in_relations_too():
     rules = rules_of("laptop", "mouse", relations=("mouse right_of laptop",))
     placer = make_proposer("spread", rules)
