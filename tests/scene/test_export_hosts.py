@@ -59,7 +59,7 @@ def test_robocasa_is_told_of_objects_by_kind(folder_of, monkeypatch):
     kitchen.ObjCat = lambda name, **properties: {"name": name, **properties}
     package = ModuleType("robocasa.models.objects")
     package.kitchen_object_utils = kitchen
-    for name in ("robocasa", "robocasa.models"):
+    for name in ("robocasa", "robocasa.models", "robosuite"):
         monkeypatch.setitem(sys.modules, name, ModuleType(name))
     monkeypatch.setitem(sys.modules, "robocasa.models.objects", package)
     monkeypatch.syspath_prepend(folder_of("robocasa"))
