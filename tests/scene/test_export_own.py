@@ -11,7 +11,7 @@ import pytest
 import cluttergen_jax as cg
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.scene.export import FORMATS
+from cluttergen_jax.scene.export import FORMATS, export_scenes
 from cluttergen_jax.scene.export.formats import find_format
 from tests.helpers.exports import dining_scene, fourteen_scenes
 
