@@ -221,6 +221,6 @@ def test_another_bank_of_the_same_objects_is_taken(registry, bank, folder, tmp_p
     assert seen[0][1] == seen[1][1]
     np.testing.assert_array_equal(seen[0][0]["agent_pos"], seen[1][0]["agent_pos"])
     other = fourteen_scenes(tmp_path)
-    for wrong, said in ((other, "another support"), (tmp_path, "no folder of a bank")):
+    for wrong, said in ((other, "another support"), (tmp_path / "none", "no folder of a bank")):
         with pytest.raises(ConfigError, match=said):
             gymnasium.make("cluttergen/Grasp-v1", bank=wrong)
