@@ -98,5 +98,5 @@ class MissingExtraError(ClutterGenError, ImportError):
     def __init__(self, extra: str, purpose: str) -> None:
         super().__init__(
             f"{purpose} needs the optional extra {extra!r}, which is not installed",
-            hint=f"pip install 'cluttergen_jax[{extra}]'",
+            hint=f"pip install '.[{extra}]' in a checkout of cluttergen_jax",
         )

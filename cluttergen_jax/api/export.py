@@ -87,8 +87,9 @@ def export(
     kind = None if takes_bank else find_format(format, old_mujoco=old_mujoco, joints=joints)
     has_robot = takes_bank and BANK_FORMATS[str(format)].has_robot
     if robot is not None and not has_robot:
+        name = format if isinstance(format, str) else format.name
         raise ConfigError(
-            f"`robot` with the format {format!r}, which has none", "lerobot", "format='lerobot'"
+            f"`robot` with the format {name!r}, which has none", "lerobot", "format='lerobot'"
         )
     if kind is not None and cameras and not kind.takes_cameras:
         note = f"note: cameras stand in scenes/*.json alone: what {kind.name} reads has none"

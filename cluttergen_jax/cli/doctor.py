@@ -67,7 +67,7 @@ def run_doctor() -> None:
         state = (
             "missing" if len(modules.split()) == len(missing) else f"{', '.join(missing)} missing"
         )
-        hint = f"{state}: pip install 'cluttergen_jax[{extra}]'" if missing else "installed"
+        hint = f"{state}: pip install '.[{extra}]'" if missing else "installed"
         print(f"extra {extra:<11}{hint}")
 
 

@@ -16,6 +16,10 @@ GUIDES = (PAGE, ROOT / "docs/guide/export.md")
 _SECTION = "hosts"
 _COMMAND = "```bash\npip install "
 _BLOCK = re.compile(r"```python\n(.*?)```", re.DOTALL)
+_WORDS = (
+    "Other objects: in worlds side by side, or *in each* one that is made. Lines: of Python, below."
+)
+"""What the table's words mean."""
 _HEADER = ("host", "format", "opened by", "moves in 10 s (mm)", "other objects", "trains", "lines")
 
 
@@ -55,12 +59,25 @@ def _with_command(section: str, line: str) -> str:
 
 def num_lines(host: Host) -> int:
     """Lines of Python that the guide asks of a user, in the host's own section; 0 if there is none."""
+    _, section = _section_of(host)
+    blocks = _BLOCK.findall(section)
+    return sum(bool(line.strip()) for block in blocks for line in block.splitlines())
+
+
+def _section_of(host: Host) -> tuple[Path, str]:
+    """The guide that has a host's section, and that section."""
     for guide in GUIDES:
         _, found, rest = guide.read_text(encoding="utf-8").partition(f"\n## {host.title}\n")
         if found:
-            blocks = _BLOCK.findall(rest.partition("\n## ")[0])
-            return sum(bool(line.strip()) for block in blocks for line in block.splitlines())
-    return 0
+            return guide, rest.partition("\n## ")[0]
+    return PAGE, ""
+
+
+def _title(host: Host) -> str:
+    """The host's name, with a link where its section is in another guide."""
+    guide, _ = _section_of(host)
+    anchor = re.sub(r"[^a-z0-9_ -]", "", host.title.lower()).replace(" ", "-")
+    return host.title if guide == PAGE else f"[{host.title}]({guide.name}#{anchor})"
 
 
 def _row(host: Host, result: Measurement | None) -> list[str]:
@@ -73,7 +90,7 @@ def _row(host: Host, result: Measurement | None) -> list[str]:
         moves = f"{1000 * result.largest:.2g} ({1000 * result.median:.2g})"
         moves = moves if result.is_finite else "not finite"
     return [
-        host.title,
+        _title(host),
         f"`{host.format}`",
         opened,
         moves,
@@ -90,6 +107,7 @@ def _origin(results: Mapping[str, Measurement]) -> str:
     numbers = sorted({len(each.moves) for each in done})
     dates = sorted({each.date for each in done})
     return (
-        f"Largest (median) over {' or '.join(map(str, numbers))} scenes of six dining objects, each "
-        f"{done[0].seconds:g} s on a CPU: `python -m studies.hosts --write`, {' to '.join(dates)}."
+        f"Moves: of the object that moves most, in the worst scene (the median one) of "
+        f"{' or '.join(map(str, numbers))} of six dining objects, each {done[0].seconds:g} s on a CPU: "
+        f"`python -m studies.hosts --write`, {' to '.join(dates)}. {_WORDS}"
     )

@@ -36,8 +36,8 @@ class Host:
 
     @property
     def pip_line(self) -> str:
-        """The one line that makes its environment, as the guide prints it."""
-        return shlex.join(["pip", "install", *self.packages])
+        """The one line that makes its environment, as the guide prints it; `.` is a checkout of ours."""
+        return shlex.join(["pip", "install", *(each.replace(OWN, ".") for each in self.packages)])
 
     @property
     def program(self) -> Path:

@@ -14,12 +14,17 @@ pytest.importorskip("mink", reason="needs the extra robot")
 pytest.importorskip("ompl", reason="needs the extra robot")
 pytest.importorskip("toppra", reason="needs the extra robot")
 
+import gymnasium
+
 import cluttergen_jax as cg
 from cluttergen_jax.assets import VISUAL_GROUP
 from cluttergen_jax.downstream.environments.exporting import PACKAGE, write_package
-from cluttergen_jax.downstream.episodes.exported import make_env
+from cluttergen_jax.downstream.episodes.exported import FOLDER, RECORD, make_env, register_ids
 from cluttergen_jax.downstream.episodes.pictures import DRAWN_GROUP
+from cluttergen_jax.downstream.words import ENV_IDS
 from cluttergen_jax.errors import ConfigError
+from cluttergen_jax.gymnasium_ids import register_ids as register_own
+from tests.helpers.exports import fourteen_scenes
 from tests.helpers.placing import write_bank
 
 ALLOWED = {"gymnasium", "mujoco", "numpy", "pyarrow", PACKAGE}
@@ -160,3 +165,62 @@ def test_what_an_export_cannot_do_is_said(folder, tmp_path):
     (tmp_path / "environment" / "environment.json").write_text('{"format": 99}')
     with pytest.raises(ConfigError, match="format 99"):
         make_env(tmp_path, "grasp")
+
+
+@pytest.fixture
+def registry(monkeypatch):
+    """Gymnasium's environments, as they are again after the test."""
+    monkeypatch.setattr(gymnasium.envs.registration, "registry", dict(gymnasium.registry))
+    monkeypatch.setattr(gymnasium, "registry", gymnasium.envs.registration.registry)
+    return gymnasium.registry
+
+
+@pytest.fixture
+def bare(tmp_path):
+    """An export with nothing but its robot's name."""
+    (tmp_path / FOLDER).mkdir()
+    (tmp_path / FOLDER / RECORD).write_text('{"format": 1, "robot": "so101"}')
+    return tmp_path
+
+
+def test_the_ids_are_those_of_the_export_whatever_is_imported_last(registry, bare, recwarn):
+    register_own(ENV_IDS)
+    assert "folder" not in registry["cluttergen/Grasp-v1"].kwargs
+    register_ids(bare)
+    register_own(ENV_IDS)
+    assert registry["cluttergen/Grasp-v1"].kwargs == {"folder": str(bare), "task": "grasp"}
+    register_ids(bare / "other")
+    assert registry["cluttergen/Grasp-v1"].kwargs["folder"] == str(bare / "other")
+    assert not recwarn.list
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"robot": "panda"}, "robot = 'panda'"),
+        ({"action": "tool"}, "action = 'tool'"),
+        ({"physics": "learning", "randomization": 3}, "physics = 'learning', randomization = 3"),
+        ({"recording": "demos"}, "recording = 'demos'"),
+    ],
+)
+def test_what_the_package_alone_can_do_is_said(registry, bare, given, said):
+    register_ids(bare)
+    with pytest.raises(ConfigError, match=said) as caught:
+        gymnasium.make("cluttergen/Grasp-v1", **given)
+    assert "robot 'so101'" in str(caught.value)
+    assert f"ids are those of {bare / 'env.py'}" in str(caught.value)
+
+
+@pytest.mark.slow
+def test_another_bank_of_the_same_objects_is_taken(registry, bank, folder, tmp_path):
+    register_ids(folder)
+    seen = []
+    for given in ({}, {"bank": bank, "robot": "panda", "physics": "accurate"}):
+        env = gymnasium.make("cluttergen/Grasp-v1", action="joint_delta", **given)
+        seen.append(env.reset(seed=3))
+    assert seen[0][1] == seen[1][1]
+    np.testing.assert_array_equal(seen[0][0]["agent_pos"], seen[1][0]["agent_pos"])
+    other = fourteen_scenes(tmp_path)
+    for wrong, said in ((other, "another support"), (tmp_path / "none", "no folder of a bank")):
+        with pytest.raises(ConfigError, match=said):
+            gymnasium.make("cluttergen/Grasp-v1", bank=wrong)

@@ -5,6 +5,7 @@ python read_in_lerobot.py EXPORT ACTIONS
 ACTIONS: an NPZ file: `tasks` and `seeds`, of episodes, and `actions`, f32[E, T, n + 1].
 """
 
+import ast
 import json
 import shutil
 import sys
@@ -15,10 +16,14 @@ from unittest import mock
 import gymnasium
 import mujoco
 import numpy as np
-from lerobot.envs import factory
 from lerobot.envs.utils import preprocess_observation
 
 folder = Path(sys.argv[1])
+# What users read is what is imported: `make_env`.
+words = ast.get_docstring(ast.parse((folder / "env.py").read_text()))
+(line,) = (each for each in words.splitlines() if each.startswith("    from lerobot"))
+given_name = {}
+exec(line.strip(), given_name)
 # LeRobot fetches env.py alone into its cache, and env.py what else the repository has: both are stood for.
 alone = Path(tempfile.mkdtemp()) / "models--owner--clutter" / "snapshots" / "abc"
 alone.mkdir(parents=True)
@@ -27,7 +32,9 @@ with (
     mock.patch("lerobot.envs.utils.hf_hub_download", return_value=str(alone / "env.py")),
     mock.patch("huggingface_hub.snapshot_download", return_value=str(folder)) as fetch,
 ):
-    ((suite, tasks),) = factory.make_env("owner/clutter", n_envs=2, trust_remote_code=True).items()
+    ((suite, tasks),) = given_name["make_env"](
+        "owner/clutter", n_envs=2, trust_remote_code=True
+    ).items()
 fetch.assert_called_with("owner/clutter", revision="abc", repo_type="model")
 envs = tasks[0]
 report = {"suite": suite, "mujoco": mujoco.__version__}

@@ -57,6 +57,12 @@ def test_sdf(scene, tmp_path):
     read = {model.get("name"): model.find(".//ode/mu").text for model in root.iter("model")}
     assert float(read[scene.names[0]]) == 0.1
     assert float(read[scene.names[1]]) == DEFAULT
+    drake = {
+        model.get("name"): model.find(".//{http://drake.mit.edu}mu_static")
+        for model in root.iter("model")
+    }
+    assert float(drake[scene.names[0]].text) == pytest.approx(harmonic_of(0.1, DEFAULT), rel=1e-6)
+    assert drake[scene.names[1]] is None
 
 
 def test_robosuite(scene, tmp_path):

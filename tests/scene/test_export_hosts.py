@@ -25,7 +25,7 @@ from cluttergen_jax.assets.shape import Texture
 from cluttergen_jax.assets.support import cuboid_table
 from cluttergen_jax.bank_reader import Bank
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.scene.export import export_scenes
+from cluttergen_jax.scene.export import BANK_FORMATS, export_scenes
 from tests.helpers.drawing import needs_gl
 from tests.helpers.environments import ask_peer, named_python, peer_python
 from tests.helpers.exports import assert_same_pose, fourteen_scenes, matrix, spread
@@ -59,7 +59,7 @@ def test_robocasa_is_told_of_objects_by_kind(folder_of, monkeypatch):
     kitchen.ObjCat = lambda name, **properties: {"name": name, **properties}
     package = ModuleType("robocasa.models.objects")
     package.kitchen_object_utils = kitchen
-    for name in ("robocasa", "robocasa.models"):
+    for name in ("robocasa", "robocasa.models", "robosuite"):
         monkeypatch.setitem(sys.modules, name, ModuleType(name))
     monkeypatch.setitem(sys.modules, "robocasa.models.objects", package)
     monkeypatch.syspath_prepend(folder_of("robocasa"))
@@ -236,6 +236,23 @@ def test_embedded_objects_are_simready_props(tmp_path):
             () if name.endswith("3.0.0") else ("FET_003_MUJOCO", "FET_003_NEWTON", "FET_003_PHYSX")
         )
         assert all(told["features"][each] for each in required + physics), (name, told["features"])
+
+
+@pytest.mark.parametrize(
+    ("format", "line", "file"),
+    [
+        ("lerobot", "from lerobot.envs.factory import make_env", "env.py"),
+        ("playground", "playground==0.2.0 '.[robot]'", "cluttergen_playground.py"),
+    ],
+)
+def test_a_line_that_users_type_is_the_same_wherever_it_stands(format, line, file):
+    script = ROOT / "cluttergen_jax/scene/export/scripts" / file
+    for text in (
+        (ROOT / "docs/guide/hosts.md").read_text(),
+        BANK_FORMATS[format].opens_in,
+        script.read_text(),
+    ):
+        assert line in text
 
 
 @pytest.fixture(scope="module")

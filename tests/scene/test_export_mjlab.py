@@ -19,7 +19,7 @@ from tests.helpers.exports import fourteen_scenes
 from tests.helpers.worlds import prism, trio
 
 SCRIPT = Path(cg.__file__).parent / "scene/export/scripts/cluttergen_mjlab.py"
-KNOWN = {"mjlab": "1.6.0", "mujoco-warp": "3.11.0"}
+KNOWN = {"mjlab": "1.6.0", "mujoco-warp": "3.11.0", "pyarrow": "15.0"}
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import pytest
 import cluttergen_jax as cg
 from cluttergen_jax.cli.main import main
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.scene.export import FORMATS
+from cluttergen_jax.scene.export import FORMATS, export_scenes
 from cluttergen_jax.scene.export.formats import find_format
 from tests.helpers.exports import dining_scene, fourteen_scenes
 
@@ -109,6 +109,17 @@ def test_several_scenes_are_exported_at_once(tmp_path):
         ("broken.py:POSES", "broken.py' cannot be imported: division"),
         ("mjfc", "format 'mjfc'.*mjcf"),
         (3, "the format 3.*cluttergen_jax.Format"),
+        (
+            "mujoko",
+            r"format 'mujoko'\. Did you mean 'mujoco'\?.*mjlab, playground, lerobot.*'mjcf'\.$",
+        ),
+        ("newton", r"format 'newton'\. Allowed: mjcf, .*Try: format='mjcf'\.$"),
+        ("dm-control", "format='mjcf'"),
+        ("drake", "format='sdf'"),
+        ("pybullet", "format='urdf'"),
+        ("isaac", "format='usd'"),
+        ("gymnasium", "format='lerobot'"),
+        ("qqqqq", r"Try: docs/guide/export\.md"),
     ],
 )
 def test_a_wrong_format_is_told_apart(asked, said, file, tmp_path):
@@ -145,3 +156,7 @@ def test_what_is_no_scene_is_refused(tmp_path):
         cg.export(dining_scene(), tmp_path / "out", scenes="0-3")
     with pytest.raises(ConfigError, match="takes a whole bank"):
         cg.export(dining_scene(), tmp_path / "out", "lerobot")
+    with pytest.raises(ConfigError, match="'mjlab' of scenes, which takes a whole bank"):
+        export_scenes([dining_scene()], tmp_path / "out", "mjlab")
+    with pytest.raises(ConfigError, match="`robot` with the format 'mjcf', which has none"):
+        cg.export(dining_scene(), tmp_path / "out", "mjcf", robot="panda")

@@ -37,6 +37,16 @@ def test_sections_of_guides_begin_with_the_command_of_the_table(guide):
     assert all(page.num_lines(host) for host in HOSTS.values() if host.name != "pybullet")
 
 
+def test_the_table_in_the_guide_has_what_is_known_without_measuring():
+    rows = [line.split("|") for line in page.PAGE.read_text().splitlines() if line.startswith("|")]
+    in_guide = {row[1]: row for row in rows}
+    for line in page.table_text({}).splitlines()[2:]:
+        fresh = line.split("|")
+        assert [in_guide[fresh[1]][column] for column in (2, 5, 6, 7)] == [
+            fresh[column] for column in (2, 5, 6, 7)
+        ]
+
+
 def test_commands_are_put_in_and_replaced():
     host = HOSTS["newton"]
     bare = f"# Guide\n\n## {host.title}\n\n```python\nimport newton\n```\n\n## Other\n"
@@ -72,7 +82,8 @@ def test_the_table_has_millimetres_of_the_worst_scene_and_says_what_fails():
     assert rows["Newton"][3:5] == ["newton 1.8.0", "2 (0.5)"]
     assert rows["dm_control"][4] == "not finite"
     assert rows["Drake"][3:5] == ["cannot be installed", "-"]
-    assert rows["PyBullet"][3] == "not measured"
+    assert rows["[PyBullet](export.md#pybullet)"][3] == "not measured"
+    assert "[ManiSkill 3](export.md#maniskill-3)" in rows
     assert len(rows) == len(HOSTS) + 2
 
 

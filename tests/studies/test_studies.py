@@ -215,4 +215,4 @@ def test_survival_asks_the_engines_that_are_installed(runner, tmp_path):
     installed = [engine for engine in PEERS if importlib.util.find_spec(PACKAGES[engine])]
     assert [row["engine"] for row in result["rows"]] == installed
     assert len(result["notes"]) == len(PEERS) - len(installed)
-    assert all("cluttergen_jax[peers]" in note for note in result["notes"])
+    assert all("'.[peers]'" in note for note in result["notes"])

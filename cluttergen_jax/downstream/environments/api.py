@@ -67,7 +67,8 @@ def make_robot_env(
     """A `gymnasium.Env`: a robot in the scenes of a bank. Extras `gym` and `robot`.
 
     `gymnasium.make("cluttergen/Place-v1", bank=..., robot=...)` makes it, too, and `gymnasium.make_vec` many;
-    the ids are cluttergen/Place-v1, cluttergen/Grasp-v1 and cluttergen/Rearrange-v1.
+    the ids are cluttergen/Place-v1, cluttergen/Grasp-v1 and cluttergen/Rearrange-v1. Those that run in
+    processes of their own need `vector_kwargs={"context": "spawn"}`: JAX hangs in forked ones.
 
     Every reset draws a scene of the bank; equal seeds give equal episodes. Actions are set-points, reached
     evenly within a step of control. The judge is that of `robot place` and `rearrange`, and its rules hold:

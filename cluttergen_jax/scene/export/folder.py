@@ -338,14 +338,15 @@ _ALL = (
     ),
     BankFormat(
         "playground",
-        "MuJoCo Playground 0.2, beside cluttergen_jax[robot]: import cluttergen_playground, "
+        "MuJoCo Playground 0.2, beside cluttergen_jax with its extra robot (in a checkout: pip install "
+        "playground==0.2.0 '.[robot]'): import cluttergen_playground, "
         "cluttergen_playground.register('ClutterPick'), then mujoco_playground.registry.load('ClutterPick').",
         ("cluttergen_playground.py", HOST_CHECKS),
     ),
     BankFormat(
         "lerobot",
-        "LeRobot: push the folder to a hub as a model repository, then lerobot.envs.make_env("
-        "'OWNER/NAME', n_envs=4, trust_remote_code=True). Without it: import env, then "
+        "LeRobot: push the folder to a hub as a model repository, then from lerobot.envs.factory import "
+        "make_env; make_env('OWNER/NAME', n_envs=4, trust_remote_code=True). Without it: import env, then "
         "env.single('grasp') or gymnasium.make('cluttergen/Grasp-v1').",
         ("env.py",),
         has_robot=True,

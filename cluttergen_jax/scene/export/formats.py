@@ -237,6 +237,26 @@ _FORMER = {
     ),
 }
 """Formats of earlier versions: what is allowed instead, and what to try."""
+_OPENED_BY = {
+    "mujoco": "mjcf",
+    "mjx": "mjcf",
+    "dm_control": "mjcf",
+    "newton": "mjcf",
+    "genesis": "mjcf",
+    "pybullet": "urdf",
+    "bullet": "urdf",
+    "drake": "sdf",
+    "gazebo": "sdf",
+    "isaac": "usd",
+    "isaac_sim": "usd",
+    "isaac_lab": "usd",
+    "isaaclab": "usd",
+    "omniverse": "usd",
+    "blender": "glb",
+    "gymnasium": "lerobot",
+    "mujoco_playground": "playground",
+}
+"""Programs that open a format of another name."""
 _ALL = (
     _MJCF,
     Format(
@@ -393,12 +413,7 @@ def find_format(format: str | Format, *, old_mujoco: bool = False, joints: bool 
     elif isinstance(format, str) and format in _FORMER:
         raise ConfigError(f"format {format!r}, which is no more", *_FORMER[format])
     elif isinstance(format, str):
-        raise ConfigError(
-            f"format {format!r}",
-            f"{', '.join(FORMATS)}, or one of your own as FILE.py:NAME",
-            "format='mjcf'",
-            closest(format, FORMATS),
-        )
+        raise _no_such_format(format)
     else:
         found = format
     if not isinstance(found, Format) or is_own(found):
@@ -410,6 +425,25 @@ def find_format(format: str | Format, *, old_mujoco: bool = False, joints: bool 
         given = " and ".join(["`old_mujoco`"] * old_mujoco + ["`joints`"] * joints)
         raise ConfigError(f"{given} with the format {found.name!r}", "format='mjcf'")
     return _MJCF_VARIANTS[old_mujoco, joints]
+
+
+def _no_such_format(name: str) -> ConfigError:
+    """The error for a name that is no format's, which may be that of a program that opens one."""
+    known = tuple(dict.fromkeys((*get_args(ExportFormat), *FORMATS)))
+    if name in known:
+        return ConfigError(
+            f"format {name!r} of scenes, which takes a whole bank",
+            ", ".join(FORMATS),
+            f"cluttergen_jax.export(bank, out, {name!r})",
+        )
+    meant = closest(name.replace("-", "_"), (*known, *_OPENED_BY))
+    asked = _OPENED_BY.get(meant, meant)
+    return ConfigError(
+        f"format {name!r}",
+        f"{', '.join(known)}, or one of your own as FILE.py:NAME",
+        f"format={asked!r}" if asked else "docs/guide/export.md, which says what opens which",
+        "" if meant == name else meant,
+    )
 
 
 def _check_own(format: object) -> None:

@@ -341,5 +341,8 @@ def _add_solid(
     ET.SubElement(proximity, "drake:compliant_hydroelastic")
     _leaf(proximity, "drake:hydroelastic_modulus", text([HYDROELASTIC_MODULUS]))
     _leaf(proximity, "drake:hunt_crossley_dissipation", text([_DISSIPATION]))
+    if sliding == contact.friction[0]:
+        # Drake takes the coefficients above, which it would warn of beside its own.
+        return
     for name in ("drake:mu_dynamic", "drake:mu_static"):
         _leaf(proximity, name, text([harmonic_of(sliding, contact.friction[0])]))

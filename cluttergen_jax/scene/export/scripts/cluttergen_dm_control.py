@@ -11,18 +11,20 @@ entity with a free joint that the arena gives it (`arena.add_free_entity`). Thei
 every reset of the physics puts them back.
 """
 
+# ruff: noqa: E402
 import copy
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-from dm_control import composer, mjcf
-from dm_control.locomotion.arenas import floors
-from host_checks import check_versions
+from host_checks import check_versions, scene_number
 
 ROOT = Path(__file__).resolve().parent
 KNOWN = {"dm_control": ("1.0.50",), "mujoco": ("3.17.",)}
 """How the versions begin that this was run with."""
-check_versions(KNOWN, "dm_control==1.0.50 mujoco==3.17.0")
+check_versions(KNOWN, "dm_control==1.0.50 mujoco==3.17.0", ("dm_control", "mujoco"))
+
+from dm_control import composer, mjcf
+from dm_control.locomotion.arenas import floors
 
 
 def scene_numbers():
@@ -41,13 +43,8 @@ class SceneFile:
     """
 
     def __init__(self, number):
-        path = ROOT / "scenes" / f"{number:06d}.xml"
-        if not path.is_file():
-            numbers = scene_numbers()
-            raise ValueError(
-                f"no scene {number} in {ROOT}; there are {numbers[0]} to {numbers[-1]}"
-            )
-        self._root = ET.parse(path).getroot()
+        number = scene_number(number, scene_numbers(), ROOT)
+        self._root = ET.parse(ROOT / "scenes" / f"{number:06d}.xml").getroot()
         if self._root.find("contact") is not None:
             raise ValueError(
                 f"scene {number} has a support whose joints move, which cannot be attached; "
@@ -156,10 +153,11 @@ class ClutterArena(floors.Floor):
         super()._build(size=size, **kwargs)
         self._is_drawn = scene is None
         self.objects = {}
-        self.show(scene_numbers()[0] if scene is None else int(scene))
+        self.show(scene_numbers()[0] if scene is None else scene)
 
     def show(self, scene):
         """Puts another scene in place of the one that is there; the physics is to be compiled anew."""
+        scene = scene_number(scene, scene_numbers(), ROOT)
         for each in self.objects.values():
             each.detach()
         self.objects = add_scene(self, scene)

@@ -18,6 +18,7 @@ LIBERO's own meshes are not needed. libero 0.1.1 and robosuite 1.4.0 work with n
 scipy, termcolor, pyyaml, pillow and opencv-python. LIBERO asks for a folder when it is first imported.
 """
 
+# ruff: noqa: E402
 import argparse
 import json
 import tempfile
@@ -27,10 +28,21 @@ from operator import itemgetter
 from pathlib import Path
 from unittest.mock import patch
 
+from host_checks import check_path, check_versions, scene_number
+
+ROOT = Path(__file__).resolve().parent
+check_path(ROOT)
+KNOWN = {"robosuite": ("1.4.",), "mujoco": ("2.3.", "3.0.", "3.1.", "3.2.", "3.3.", "3.4.", "3.5.")}
+"""How the versions begin that this was run with."""
+check_versions(
+    KNOWN,
+    "robosuite==1.4.0 mujoco==3.3.7 torch beside libero",
+    ("libero", "robosuite", "mujoco", "torch"),
+)
+
 import mujoco
 import numpy as np
 import torch
-from host_checks import check_path, check_versions
 from libero.libero.benchmark import Benchmark, Task, register_benchmark
 from libero.libero.envs import OBJECTS_DICT, TASK_MAPPING, bddl_base_domain
 from libero.libero.envs.bddl_base_domain import BDDLBaseDomain, register_problem
@@ -41,11 +53,6 @@ from robosuite.models.objects import MujocoXMLObject
 from robosuite.models.tasks import ManipulationTask
 from robosuite.utils.mjcf_utils import array_to_string, new_body, string_to_array
 
-ROOT = Path(__file__).resolve().parent
-check_path(ROOT)
-KNOWN = {"robosuite": ("1.4.",), "mujoco": ("2.3.", "3.0.", "3.1.", "3.2.", "3.3.", "3.4.", "3.5.")}
-"""How the versions begin that this was run with."""
-check_versions(KNOWN, "robosuite==1.4.0 mujoco==3.3.7 beside libero")
 # Where LIBERO's robot stands at LIBERO's own table, and how high that is; its cameras are set to both.
 _LIBERO_BASE = (-0.66, 0.0, 0.0)
 _LIBERO_TOP = 0.9
@@ -71,12 +78,8 @@ def scene_numbers():
 
 
 def read_scene(number):
-    """The record of one scene."""
-    if number not in _SCENES:
-        raise ValueError(
-            f"no scene {number} in {ROOT}, but {len(_SCENES)} from {min(_SCENES)} to {max(_SCENES)}"
-        )
-    return _SCENES[number]
+    """The record of one scene (ValueError: there is none of that number)."""
+    return _SCENES[scene_number(number, scene_numbers(), ROOT)]
 
 
 def libero_name(entry):

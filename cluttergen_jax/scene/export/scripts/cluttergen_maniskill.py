@@ -7,15 +7,22 @@ python cluttergen_maniskill.py states.h5 writes one trajectory per scene in Mani
 the scene's initial state as its only environment state (and states.json beside it).
 """
 
+# ruff: noqa: E402
 import argparse
 import json
 from pathlib import Path
+
+from host_checks import check_versions, scene_number
+
+ROOT = Path(__file__).resolve().parent
+KNOWN = {"mani_skill": ("3.",)}
+"""How the versions begin that this was run with."""
+check_versions(KNOWN, "mani_skill==3.0.1 torch", ("mani_skill", "sapien", "torch", "h5py"))
 
 import h5py
 import numpy as np
 import sapien
 import torch
-from host_checks import check_versions
 from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.sensors.camera import CameraConfig
 from mani_skill.utils import sapien_utils
@@ -23,10 +30,6 @@ from mani_skill.utils.building.ground import build_ground
 from mani_skill.utils.registration import register_env
 from mani_skill.utils.structs.pose import Pose
 
-ROOT = Path(__file__).resolve().parent
-KNOWN = {"mani_skill": ("3.",)}
-"""How the versions begin that this was run with."""
-check_versions(KNOWN, "mani_skill==3.0.1")
 ENV_ID = "ClutterGenScene-v1"
 _GAP = 0.15
 """Metres from the support and what overhangs it to the middle of the robot's base."""
@@ -38,7 +41,8 @@ def scene_numbers():
 
 
 def read_scene(number):
-    """The record of one scene."""
+    """The record of one scene (ValueError: there is none of that number)."""
+    number = scene_number(number, scene_numbers(), ROOT)
     return json.loads((ROOT / "scenes" / f"{number:06d}.json").read_text(encoding="utf-8"))
 
 
@@ -58,7 +62,7 @@ class ClutterGenSceneEnv(BaseEnv):
     SUPPORTED_REWARD_MODES = ("none",)
 
     def __init__(self, *args, scene=None, robot_uids="none", **kwargs):
-        self.record = read_scene(scene_numbers()[0] if scene is None else int(scene))
+        self.record = read_scene(scene_numbers()[0] if scene is None else scene)
         self.objects = {}
         super().__init__(*args, robot_uids=robot_uids, **kwargs)
 

@@ -39,12 +39,25 @@ def _version(package):
     return tuple(map(int, re.findall(r"\d+", metadata.version(package))[:2]))
 
 
+def _is_installed(package):
+    try:
+        metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return False
+    return True
+
+
 def _has_fault(package):
     return _version(package) < _FAULTS[package][0]
 
 
 def _check_host():
-    """Refuses another mjlab before anything of it is used, and tells of faults of what it brings."""
+    """Refuses no or another mjlab before anything of it is used; tells of faults of what it brings."""
+    missing = [name for name in ("mjlab", *_FAULTS, "pyarrow") if not _is_installed(name)]
+    if missing:
+        raise ImportError(
+            f"{', '.join(missing)} not installed. Try: pip install mjlab==1.6.0 pyarrow"
+        )
     if _version("mjlab") != _HOST:
         raise ImportError(
             f"mjlab {metadata.version('mjlab')}. Allowed: {_HOST[0]}.{_HOST[1]}. "
@@ -432,10 +445,15 @@ def _spec(text):
 def _main():
     """mjlab's own programs, with the tasks of the bank beside this file."""
     programs = ("train", "play")
-    if len(sys.argv) < 2 or sys.argv[1] not in programs:
-        sys.exit(
+    first = sys.argv[1] if len(sys.argv) > 1 else ""
+    if first not in programs:
+        usage = (
             f"python {Path(sys.argv[0]).name} train|play TASK ...; tasks: {', '.join(register())}"
         )
+        if first in ("-h", "--help"):
+            print(usage)
+            return
+        sys.exit(usage)
     program = sys.argv.pop(1)
     register()
     if program == "train":

@@ -12,15 +12,20 @@ body of its own is filtered against the floor, and with such filters Newton take
 heterogeneous geom collision graph exceeds the MuJoCo mask compiler's capacity").
 """
 
+# ruff: noqa: E402
 from pathlib import Path
 
-import newton
-from host_checks import check_versions
+from host_checks import check_versions, scene_number
 
 ROOT = Path(__file__).resolve().parent
 KNOWN = {"newton": ("1.8.",), "mujoco": ("3.17.",)}
 """How the versions begin that this was run with."""
-check_versions(KNOWN, "'newton[sim]==1.8.0' trimesh scipy")
+check_versions(
+    KNOWN, "'newton[sim]==1.8.0' trimesh scipy", ("newton", "mujoco", "trimesh", "scipy")
+)
+
+import newton
+
 _CONTACTS = 40
 _ROWS = 150
 """Room for contacts and rows of constraints, for each object of a world."""
@@ -36,20 +41,27 @@ def add_worlds(builder, numbers=None, robot=None):
 
     Args:
       builder: a `newton.ModelBuilder`, on which no custom attributes need be registered.
-      numbers: of the scenes; all if not given.
+      numbers: of the scenes, a list; all if not given.
       robot: a builder whose bodies are added to each world, before the scene's.
 
     Returns:
       For each world, the number of the body of each object, by name.
+
+    Raises:
+      ValueError: there is no such scene, no scene is asked for, or their numbers of objects differ.
     """
+    known = scene_numbers()
+    if numbers is None:
+        numbers = known
+    elif isinstance(numbers, str) or not hasattr(numbers, "__iter__"):
+        raise ValueError(f"numbers = {numbers!r}. Allowed: a list. Try: [{numbers}]")
+    numbers = [scene_number(each, known, ROOT) for each in numbers]
+    if not numbers:
+        raise ValueError("numbers = []. Allowed: one scene or more. Try: leaving it out, for all")
     newton.solvers.SolverMuJoCo.register_custom_attributes(builder)
-    numbers = scene_numbers() if numbers is None else list(numbers)
     worlds = []
     for number in numbers:
         path = ROOT / "scenes" / f"{number:06d}.xml"
-        if not path.is_file():
-            known = scene_numbers()
-            raise ValueError(f"no scene {number} in {ROOT}; there are {known[0]} to {known[-1]}")
         world = newton.ModelBuilder()
         newton.solvers.SolverMuJoCo.register_custom_attributes(world)
         if robot is not None:

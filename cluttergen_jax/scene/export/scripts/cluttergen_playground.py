@@ -1,6 +1,6 @@
 """A bank of scenes in MuJoCo Playground: a robot takes an object out of clutter, or puts one into it.
 
-    import cluttergen_playground as clutter       # needs playground 0.2 and cluttergen_jax[robot]
+    import cluttergen_playground as clutter       # needs playground 0.2 and this package, extra `robot`
 
     clutter.register("ClutterPick", "bank")                    # register("ClutterPlace", task="place")
     env = mujoco_playground.registry.load("ClutterPick")
@@ -22,22 +22,31 @@ With a robot of your own, or another reward, extend the class:
     clutter.register("MyPick", "bank", env_class=MyPick)
 """
 
+# ruff: noqa: E402
 from functools import partial
 from pathlib import Path
+
+from host_checks import check_versions
+
+KNOWN = {"playground": ("0.2.",), "mujoco": ("3.17.",), "mujoco-mjx": ("3.17.",)}
+"""How the versions begin that this was run with."""
+check_versions(
+    KNOWN,
+    "playground==0.2.0 '.[robot]' in a checkout of cluttergen_jax",
+    ("mujoco_playground", "cluttergen_jax"),
+)
 
 import jax
 import mujoco
 import numpy as np
-from host_checks import check_versions
 from ml_collections import config_dict
 from mujoco_playground import manipulation, registry
 from mujoco_playground._src import mjx_env
 
 import cluttergen_jax as cg
 
-KNOWN = {"playground": ("0.2.",), "mujoco": ("3.17.",), "mujoco-mjx": ("3.17.",)}
-"""How the versions begin that this was run with."""
-check_versions(KNOWN, "playground==0.2.0 'cluttergen_jax[robot]'")
+_registered: set[str] = set()
+"""Names that `register` was given."""
 _SECONDS = {"grasp": 15.0, "place": 40.0}
 _WATCHED = 2.0
 """Seconds for which an object that was let go is watched."""
@@ -45,6 +54,7 @@ _WATCHED = 2.0
 
 def default_config(task="grasp"):
     """The configuration; `impl`, `num_envs` and `reward` are those of `make_mjx_env`."""
+    _check_task(task)
     ctrl_dt = 0.05
     watched = _WATCHED if task == "place" else 0.0
     return config_dict.create(
@@ -229,10 +239,22 @@ def register(name="ClutterPick", bank=None, task="grasp", env_class=ClutterEnv):
       bank: the folder of the scenes; this file's own, or its `bank`, if not given.
       task: "grasp" or "place".
       env_class: `ClutterEnv`, or your own that extends it.
+
+    Raises:
+      ValueError: there is no such task, or somebody else registered that name; one's own is replaced.
     """
+    _check_task(task)
+    if name in (*registry.ALL_ENVS, *manipulation.ALL_ENVS) and name not in _registered:
+        raise ValueError(f"name = {name!r}, which Playground has. Try: another name")
     load = partial(env_class, bank=bank, task=task)
     manipulation.register_environment(name, load, partial(default_config, task))
     # Playground has no function for these two.
     manipulation._randomizer[name] = domain_randomize
+    _registered.add(name)
     if name not in registry.ALL_ENVS:
         registry.ALL_ENVS = (*registry.ALL_ENVS, name)
+
+
+def _check_task(task):
+    if task not in _SECONDS:
+        raise ValueError(f"task = {task!r}. Allowed: {', '.join(_SECONDS)}")

@@ -57,7 +57,9 @@ def register(graspable=True, **properties):
     Returns:
       The names of the categories.
     """
-    check_versions(KNOWN, "robosuite==1.5.2 mujoco==3.3.7 beside robocasa")
+    check_versions(
+        KNOWN, "robosuite==1.5.2 mujoco==3.3.7 beside robocasa", ("robocasa", "robosuite")
+    )
     from robocasa.models.objects import kitchen_object_utils as kitchen
 
     physics = json.loads((ROOT / "MANIFEST.json").read_text(encoding="utf-8"))["physics"]

@@ -8,25 +8,28 @@ python cluttergen_robosuite.py states writes states/NUMBER/demo.hdf5 for each sc
 for demonstrations (it needs h5py, too). robosuite 1.5.2 works with MuJoCo 3.3, not with 3.17 or 4.
 """
 
+# ruff: noqa: E402
 import argparse
 import datetime
 import json
 from pathlib import Path
 
-import mujoco
-import numpy as np
-import robosuite
-from host_checks import check_path, check_versions
-from robosuite.environments.manipulation.manipulation_env import ManipulationEnv
-from robosuite.models.arenas import EmptyArena
-from robosuite.models.objects import MujocoXMLObject
-from robosuite.models.tasks import ManipulationTask
+from host_checks import check_path, check_versions, scene_number
 
 ROOT = Path(__file__).resolve().parent
 check_path(ROOT)
 KNOWN = {"robosuite": ("1.5.",), "mujoco": ("3.2.", "3.3.")}
 """How the versions begin that this was run with."""
-check_versions(KNOWN, "robosuite==1.5.2 mujoco==3.3.7")
+check_versions(KNOWN, "robosuite==1.5.2 mujoco==3.3.7", ("robosuite", "mujoco"))
+
+import mujoco
+import numpy as np
+import robosuite
+from robosuite.environments.manipulation.manipulation_env import ManipulationEnv
+from robosuite.models.arenas import EmptyArena
+from robosuite.models.objects import MujocoXMLObject
+from robosuite.models.tasks import ManipulationTask
+
 _TABLE_HEIGHT = 0.8
 """Height of robosuite's own tables, beside which its robots stand."""
 _GAP = 0.2
@@ -41,7 +44,8 @@ def scene_numbers():
 
 
 def read_scene(number):
-    """The record of one scene."""
+    """The record of one scene (ValueError: there is none of that number)."""
+    number = scene_number(number, scene_numbers(), ROOT)
     return json.loads((ROOT / "scenes" / f"{number:06d}.json").read_text(encoding="utf-8"))
 
 
@@ -55,12 +59,18 @@ class ClutterGenScene(ManipulationEnv):
     """One exported scene with a robot beside it, to be extended by a task: no reward.
 
     Args:
+      robots: one robot, which stands at the support's side.
       scene: its number.
       kwargs: of robosuite's ManipulationEnv.
     """
 
     def __init__(self, robots, scene=None, **kwargs):
-        self.record = read_scene(scene_numbers()[0] if scene is None else int(scene))
+        if not isinstance(robots, str) and len(robots) != 1:
+            raise ValueError(
+                f"robots = {robots!r}. Allowed: one robot, which has its place beside the support. "
+                "Try: robots='Panda'"
+            )
+        self.record = read_scene(scene_numbers()[0] if scene is None else scene)
         super().__init__(robots=robots, **kwargs)
 
     def reward(self, action=None):

@@ -1,10 +1,11 @@
 """A robot in a bank of scenes as a LeRobot EnvHub environment, the one of `cluttergen_jax.robot.make_env`.
 
-    envs = lerobot.envs.make_env("OWNER/REPOSITORY", n_envs=4, trust_remote_code=True)["cluttergen"][0]
+    from lerobot.envs.factory import make_env
+    envs = make_env("OWNER/NAME", n_envs=4, trust_remote_code=True)["cluttergen"][0]
 
 This file and all that lies beside it are the repository; it needs mujoco, pyarrow, gymnasium and
 Python 3.11. Without LeRobot: `import env; env.single("grasp")`, or `gymnasium.make("cluttergen/Grasp-v1")`
-once it is imported.
+once it is imported, which takes these ids from cluttergen_jax.
 """
 
 import os
@@ -42,7 +43,11 @@ register_ids(FOLDER)
 
 
 def single(task="place", **settings):
-    """One environment; settings: `action`, `cameras`, `image_size`, `control_hz`, `max_seconds`, `reward`."""
+    """One environment.
+
+    Settings: `bank` (another one of the same objects), `action` ("joint", "joint_delta"), `cameras`,
+    `image_size`, `control_hz`, `max_seconds`, `reward`, `render_mode`.
+    """
     return _make(FOLDER, task, **settings)
 
 

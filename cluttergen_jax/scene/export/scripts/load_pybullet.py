@@ -15,17 +15,31 @@ from pathlib import Path
 import pybullet
 
 
+def find_scene(path):
+    """The whole path of a scene's file; one that is not there is looked for beside this script."""
+    beside = Path(__file__).resolve().parent
+    for found in (Path(path), beside / path):
+        if found.is_file():
+            return found.resolve()
+    scenes = sorted(each.name for each in (beside / "scenes").glob("*.json"))
+    known = f"{scenes[0]} to {scenes[-1]}, {len(scenes)} scenes" if scenes else "none"
+    raise FileNotFoundError(f"no scene {path}; there are in {beside / 'scenes'}: {known}")
+
+
 def load_scene(path, client=0):
     """Loads support and objects; sets gravity and time step.
 
     Args:
-      path: a file in the folder `scenes` of the export.
+      path: a file in the folder `scenes` of the export, seen from where you are or from this file.
       client: a PyBullet client.
 
     Returns:
       Body numbers by name, "support" among them.
+
+    Raises:
+      FileNotFoundError: there is no such scene.
     """
-    path = Path(path).resolve()
+    path = find_scene(path)
     root = path.parent.parent
     scene = json.loads(path.read_text(encoding="utf-8"))
     pybullet.setGravity(*scene["gravity"], physicsClientId=client)
@@ -62,6 +76,10 @@ def main():
     parser.add_argument("--direct", action="store_true", help="no window")
     parser.add_argument("--seconds", type=float, default=10.0)
     args = parser.parse_args()
+    try:
+        find_scene(args.scene)
+    except FileNotFoundError as error:
+        parser.error(str(error))
     client = pybullet.connect(pybullet.DIRECT if args.direct else pybullet.GUI)
     bodies = load_scene(args.scene, client)
     timestep = pybullet.getPhysicsEngineParameters(physicsClientId=client)["fixedTimeStep"]
