@@ -160,6 +160,16 @@ def test_what_samples_scenes_loads_neither_trainers_nor_importers():
     assert not heavy & set(done.stdout.split())
 
 
+def test_what_draws_scenes_of_a_bank_loads_no_readers_of_files():
+    code = (
+        "import sys, cluttergen_jax.generation.sources.rendering, cluttergen_jax.views.dataset;"
+        "print(*sorted(set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "jax" in done.stdout.split()
+    assert not {"brax", "warp", "trimesh", "orbax", "optax", "scipy"} & set(done.stdout.split())
+
+
 @pytest.mark.slow
 def test_what_a_command_compiles_the_next_one_finds(tmp_path):
     """All of `generate` is kept on disk: a program that calls back into Python could not be."""
