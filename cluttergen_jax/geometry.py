@@ -8,9 +8,11 @@ algebra in compiled code is jaxlie's.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 
 Array = Any
@@ -157,3 +159,44 @@ def rectangle_corners(center: Any, half_extents: Any, yaw: float) -> np.ndarray:
     """f64[4, 2]: the corners of a turned rectangle, one after the other around it, counter-clockwise."""
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     return np.asarray(center) + rotate_in_plane(signs * half_extents, yaw)
+
+
+def hull_area(points: np.ndarray) -> float:
+    """Square metres within the convex hull of f[N, 2]; 0 where they are on a line."""
+    ordered = sorted({(x, y) for x, y in points.tolist()})
+    ring = [*_chain(ordered), *_chain(ordered[::-1])]
+    x, y = np.array(ring, np.float64).T - np.array(ordered[0], np.float64)[:, None]
+    return float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum() / 2)
+
+
+def _chain(ordered: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Of points in order along their hull: its corners on one side, but the last."""
+    chain: list[tuple[float, float]] = []
+    for x, y in ordered:
+        while len(chain) > 1:
+            (x0, y0), (x1, y1) = chain[-2:]
+            if (x1 - x0) * (y - y0) - (y1 - y0) * (x - x0) > 0:
+                break
+            chain.pop()
+        chain.append((x, y))
+    return chain[:-1] or chain
+
+
+def closing(height: np.ndarray, width: int) -> np.ndarray:
+    """f[R, C]: a map with its gaps closed into which a square of so many cells does not fit.
+
+    The grey closing of `scipy.ndimage`, which takes longer to import than to run.
+    """
+    before = width // 2
+    raised = _extreme(np.max, height, width, width - 1 - before)
+    return _extreme(np.min, raised, width, before)
+
+
+def _extreme(choose: Callable[..., Any], values: np.ndarray, width: int, before: int) -> np.ndarray:
+    """The largest or smallest of the square about each cell, of which so many cells come before it."""
+    for axis in (0, 1):
+        sides = [(0, 0), (0, 0)]
+        sides[axis] = (before, width - 1 - before)
+        padded = np.pad(values, sides, mode="symmetric")
+        values = choose(sliding_window_view(padded, width, axis=axis), axis=-1)
+    return values

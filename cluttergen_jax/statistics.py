@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from typing import TypedDict
 
 import numpy as np
-from scipy.stats import binomtest
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:
     """The 95 % interval of a proportion (Wilson, 1927); from 0 to 1 where nothing was tried."""
+    from scipy.stats import binomtest
+
     if trials == 0:
         return 0.0, 1.0
     found = binomtest(successes, trials).proportion_ci(method="wilson")

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.object import CLOUD_SIZE, ObjectAsset
@@ -132,6 +131,8 @@ class Cloud:
 
 def cloud_colours(asset: ObjectAsset) -> np.ndarray:
     """uint8[1024, 3]: the colour of the surface next to each point of the asset's cloud."""
+    from scipy.spatial import cKDTree
+
     if not asset.pieces:
         return np.full((len(asset.cloud), 3), 180, np.uint8)
     areas = np.array([piece.mesh.areas.sum() for piece in asset.pieces])

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 
 import manifold3d
 import numpy as np
-from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.cloud import sample_exposed, sample_solid
 from cluttergen_jax.assets.config import ALARM_FACTOR
@@ -63,6 +62,8 @@ def _farthest(points: np.ndarray, others: np.ndarray) -> float:
 
     A few of the others tell of most points that they are not the farthest one.
     """
+    from scipy.spatial import cKDTree
+
     if not len(points):
         return 0.0
     bound = np.full(len(points), np.inf)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import ConvexHull, cKDTree
 
 from cluttergen_jax.assets.cloud import farthest_first
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.errors import AssetError
+
+if TYPE_CHECKING:
+    from scipy.spatial import ConvexHull
 
 REACH = 0.004
 """Metres by which upper surfaces are grown: what keeps clear of them keeps clear of the object itself."""
@@ -48,6 +51,8 @@ def height_profile_of(asset: ObjectAsset, spacing: float, num_samples: int) -> H
     Raises:
       AssetError: no vertical line meets the object.
     """
+    from scipy.spatial import ConvexHull
+
     planes = [ConvexHull(part.vertices).equations for part in asset.parts]
     outline = _outline(asset, spacing)
     xy = np.concatenate([outline, _grid(asset.half_extents[:2], spacing)])
@@ -73,6 +78,8 @@ def height_profile_of(asset: ObjectAsset, spacing: float, num_samples: int) -> H
 
 def _grown_surface(xy: np.ndarray, top: np.ndarray, half: np.ndarray) -> np.ndarray:
     """f64[Q, 3]: on a grid, the highest top within reach."""
+    from scipy.spatial import cKDTree
+
     grid = _grid(half + REACH, SURFACE_SPACING)
     near = cKDTree(xy).sparse_distance_matrix(cKDTree(grid), REACH, output_type="coo_matrix")
     height = np.full(len(grid), -np.inf)
@@ -92,6 +99,8 @@ def _grid(half: np.ndarray, spacing: float) -> np.ndarray:
 
 def _outline(asset: ObjectAsset, spacing: float) -> np.ndarray:
     """f64[P, 2]: points just inside the edge of the footprint, the union of the parts' shadows."""
+    from scipy.spatial import ConvexHull
+
     shadows = [ConvexHull(part.vertices[:, :2]) for part in asset.parts]
     points = []
     for index, shadow in enumerate(shadows):

@@ -8,8 +8,6 @@ from functools import lru_cache
 
 import mujoco
 import numpy as np
-from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.deviation import is_within_parts
 from cluttergen_jax.assets.mesh import join_meshes
@@ -57,6 +55,8 @@ def find_hollow(solid: Solid) -> HollowSpace | None:
 
     It has to be 15 mm deep, and a fifth as deep as it is wide: plates and lids of cans are not hollow.
     """
+    from scipy import ndimage
+
     voxels = Voxels.of(solid.mesh)
     regions, count = ndimage.label(voxels.water())
     if count == 0:
@@ -88,6 +88,8 @@ def hollow_of(asset: ObjectAsset) -> HollowSpace | None:
 
 def holds_ball(parts: Sequence[np.ndarray], hollow: HollowSpace) -> bool:
     """Whether a 10 mm ball let go just above the mouth comes to rest in the cavity of the fixed parts."""
+    from scipy.spatial import cKDTree
+
     spec = new_spec(StabilityConfig().timestep / 2, ContactConfig())
     for index, points in enumerate(parts):
         add_part(spec, spec.worldbody, f"part-{index}", points)

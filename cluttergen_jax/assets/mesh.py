@@ -6,9 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import ConvexHull
 
 from cluttergen_jax.geometry import unit
 
@@ -89,6 +86,8 @@ class Mesh:
 
     def hull(self) -> Mesh:
         """A convex part with its faces, counter-clockwise seen from outside."""
+        from scipy.spatial import ConvexHull
+
         hull = ConvexHull(self.vertices)
         inward = (Mesh(self.vertices, hull.simplices).normals * hull.equations[:, :3]).sum(1) < 0
         faces = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
@@ -159,6 +158,9 @@ def unique_rows(*columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def component_labels(pairs: np.ndarray, count: int) -> np.ndarray:
     """i[count]: which of the sets that pairs, i[N, 2], connect each of so many things belongs to."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     links = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(count, count))
     return connected_components(links, directed=False)[1]
 

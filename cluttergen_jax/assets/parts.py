@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from cluttergen_jax.assets.config import MAX_PART_VERTICES
 from cluttergen_jax.assets.mesh import Mesh
+
+if TYPE_CHECKING:
+    from scipy.spatial import ConvexHull
 
 # Vertices this near the lowest point belong to the bottom, unless the object itself is thin.
 BOTTOM_REACH = 0.003
@@ -28,6 +31,8 @@ _DIRECTIONS = np.concatenate(
 
 def hull_of(points: np.ndarray) -> ConvexHull | None:
     """The convex hull, or None where Qhull finds the points too flat."""
+    from scipy.spatial import ConvexHull, QhullError
+
     try:
         return ConvexHull(points)
     except (QhullError, ValueError):

@@ -17,7 +17,6 @@ from typing import Literal, Protocol, get_args
 
 import msgspec
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from cluttergen_jax.assets.nouns import SYNSET, Nouns, read_nouns
 from cluttergen_jax.assets.object import ObjectAsset
@@ -392,6 +391,7 @@ class PlanShape:
 
 def plan_shape(points: np.ndarray) -> PlanShape:
     """The shape in plan of points f64[N, 2 or 3], metres, z up."""
+    from scipy.spatial import ConvexHull, QhullError
     from trimesh.bounds import oriented_bounds_2D
 
     xy = np.asarray(points, float)[:, :2]

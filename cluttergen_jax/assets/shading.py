@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import sparse
 
 from cluttergen_jax.assets.mesh import Mesh, unique_rows
 
@@ -66,6 +65,8 @@ def _smooth_normals(
     faces: np.ndarray, normals: np.ndarray, area: np.ndarray, num_points: int, least: float
 ) -> np.ndarray:
     """f64[3 F, 3]: at each corner the mean normal of the faces around it that are nearly parallel."""
+    from scipy import sparse
+
     num = 3 * len(faces)
     owner = np.repeat(np.arange(len(faces)), 3)
     at = sparse.csr_array((np.ones(num), (np.arange(num), faces.ravel())), shape=(num, num_points))

@@ -9,8 +9,6 @@ from itertools import chain
 
 import manifold3d
 import numpy as np
-from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from cluttergen_jax.assets.mesh import Mesh, clean_mesh, join_meshes
 from cluttergen_jax.assets.parts import hull_of
@@ -203,6 +201,9 @@ def _rebuild(surface: Mesh) -> Mesh:
     The level set lies most of a cell outside of the samples, so that sheets without thickness and small
     gaps are closed; then each vertex goes back to a quarter of a cell from its nearest sample.
     """
+    from scipy import ndimage
+    from scipy.spatial import cKDTree
+
     voxels = Voxels.of(surface, _CELLS)
     # What lies deep inside counts as filled: only the skin is drawn.
     skin = voxels.surface & dilate(voxels.outside)
@@ -228,6 +229,8 @@ def _rebuild(surface: Mesh) -> Mesh:
 
 def _interpolator(field: np.ndarray, voxels: Voxels) -> Callable[[float, float, float], float]:
     """Trilinear interpolation in plain floats: called a million times, where NumPy would be slower."""
+    from scipy import ndimage
+
     flat = field.ravel().tolist()
     nx, ny, nz = field.shape
     last_x = nx - 2
@@ -300,6 +303,8 @@ class Voxels:
         Where a path from a cell to its neighbour crosses the surface, a sample is within half a cell, so one
         of the two cells is marked: a flood from outside cannot slip through a closed surface.
         """
+        from scipy import ndimage
+
         lower, upper = mesh.bounds
         pitch = float((upper - lower).max()) / cells
         samples = scan_lines(mesh, 0.35 * pitch, 0.6 * pitch)
@@ -334,6 +339,8 @@ class Voxels:
         Level by level from below: water leaves a cell if it can leave the cell beneath, or flow sideways
         to a cell that it leaves.
         """
+        from scipy import ndimage
+
         is_dry = np.zeros_like(self.outside)
         below = np.ones(self.outside.shape[:2], bool)
         for level in range(self.outside.shape[2]):
@@ -348,6 +355,8 @@ class Voxels:
 
 def dilate(cells: np.ndarray) -> np.ndarray:
     """bool[X, Y, Z]: the True cells with all around them, corners included."""
+    from scipy import ndimage
+
     return np.asarray(ndimage.binary_dilation(cells, np.ones((3, 3, 3), bool)))
 
 

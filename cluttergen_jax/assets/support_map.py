@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import grey_closing
 
 from cluttergen_jax.assets.mesh import Mesh
 from cluttergen_jax.assets.support import MOST_SIDE, Rectangle, SupportAsset, Surface
 from cluttergen_jax.errors import ConfigError
-from cluttergen_jax.geometry import cell_centers, rectangle_corners, rotate_in_plane
+from cluttergen_jax.geometry import cell_centers, closing, rectangle_corners, rotate_in_plane
 
 VOID = -1e3
 """Height of a cell with nothing under it, metres."""
@@ -62,7 +61,7 @@ def ground_heights(boxes: np.ndarray, top: float) -> tuple[np.ndarray, np.ndarra
         covers = (np.abs(along) <= box[3]) & (np.abs(across) <= box[4])
         height[covers] = np.maximum(height[covers], box[2] + box[5] - top)
     width = int(_NARROW_GAP / cell) + 1
-    bridged = grey_closing(np.pad(height, width, constant_values=VOID), size=(width, width))
+    bridged = closing(np.pad(height, width, constant_values=VOID), width)
     return bridged, low - width * cell, cell
 
 
@@ -254,7 +253,7 @@ def surface_heights(
         hangs = (under > np.maximum(ground[window], 0.0) + _TOUCH) & np.isfinite(over)
         ceiling[window] = np.where(hangs, np.minimum(ceiling[window], under), ceiling[window])
     width = int(_NARROW_GAP / cell) + 1
-    ground = grey_closing(np.pad(ground, width, constant_values=VOID), size=(width, width))
+    ground = closing(np.pad(ground, width, constant_values=VOID), width)
     ceiling = np.pad(ceiling, width, constant_values=np.inf)
     return SurfaceHeights(ground, ceiling, low - width * cell, cell)
 

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.pool import embedded_root
 from cluttergen_jax.errors import ConfigError, closest, printable
@@ -359,6 +358,8 @@ def _readers_of_euler(
 
 
 def _turns_in_order(order: str, factor: float) -> Callable[[Any, str], np.ndarray]:
+    from scipy.spatial.transform import Rotation
+
     def read(value: Any, where: str) -> np.ndarray:
         angles = factor * _numbers(value, 3, where)
         if factor == 1.0 and np.abs(angles).max() > _FULL_TURN:

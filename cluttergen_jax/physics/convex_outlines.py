@@ -7,7 +7,6 @@ still be apart, one under the rim of the other.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from cluttergen_jax.geometry import rotate
 from cluttergen_jax.physics.layout import Layout
@@ -47,6 +46,8 @@ class ConvexOutlines:
 
 def _corners(layout: Layout, index: int) -> np.ndarray:
     """f64[V, 3]: corners of the convex hull of an object's geoms, in its own frame."""
+    from scipy.spatial import ConvexHull
+
     model = layout.model
     points = []
     for geom in np.flatnonzero(layout.geom_object == index):

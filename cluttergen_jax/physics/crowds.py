@@ -13,7 +13,6 @@ from itertools import product
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
 from cluttergen_jax.geometry import rotate, rotate_in_plane
 from cluttergen_jax.physics.convex_outlines import gaps_in_plan, move_together, reaches_of_boxes
@@ -193,6 +192,8 @@ class Crowder(RestRounds):
         Args:
           middles: f64[m, K, 2]; is_moving: bool[m, K], the objects that may move.
         """
+        from scipy.sparse.csgraph import connected_components
+
         probe = self.engine.probe
         start = self.poses[rows]
         is_member = self.is_member[rows]

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
-from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.geometry import product, rotate
 from cluttergen_jax.physics.host import empty_closing
@@ -103,6 +102,8 @@ class Carriage:
           carriers: i[..., K]; travel: f64[..., D].
           back: the other way round, from where doors have moved to where they stood.
         """
+        from scipy.spatial.transform import Rotation
+
         moved = poses.astype(np.float64)
         T = self.moves(travel)
         T = np.linalg.inv(T) if back else T

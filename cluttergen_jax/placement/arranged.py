@@ -6,8 +6,6 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.spatial import ConvexHull
-from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.facts import ObjectFacts, parse_condition
 from cluttergen_jax.assets.hollow import hollow_of
@@ -50,6 +48,8 @@ def row_quaternions(asset: ObjectAsset, free: float = np.inf) -> list[np.ndarray
 
     Its thin side is level, and the longest upright if it is below `free`, metres.
     """
+    from scipy.spatial import ConvexHull
+
     sides = 2 * np.asarray(asset.half_extents)
     hull = ConvexHull(asset.vertices).volume / sides.prod()
     thin = int(np.argmin(sides))
@@ -167,6 +167,8 @@ def _people_stack(asset: ObjectAsset, sense: str) -> bool:
 
 
 def _quaternion_of(matrix: np.ndarray) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
     return np.asarray(Rotation.from_matrix(matrix).as_quat(scalar_first=True))
 
 

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import jaxlie
 import numpy as np
 from flax import struct
-from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.support import SupportAsset, Surface
 from cluttergen_jax.assets.support_map import (
@@ -72,6 +71,8 @@ def map_below(geometry: Geometry, surface: Array | None, focus: Array) -> Suppor
 
 
 def _map_of(surface: Surface, found: SurfaceHeights, shape: np.ndarray) -> SupportMap:
+    from scipy.spatial.transform import Rotation
+
     more = [(0, most - own) for most, own in zip(shape, found.ground.shape, strict=True)]
     inverse = np.linalg.inv(surface.T_world_surface)
     turn = Rotation.from_matrix(inverse[:3, :3]).as_quat(scalar_first=True)

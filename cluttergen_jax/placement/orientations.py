@@ -8,7 +8,6 @@ from operator import attrgetter
 from typing import cast
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.height_profile import HeightProfile
 from cluttergen_jax.assets.object import ObjectAsset
@@ -238,6 +237,8 @@ def _settle(
 
 
 def _quaternion_of(matrix: np.ndarray) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
     return np.asarray(Rotation.from_matrix(matrix).as_quat(scalar_first=True))
 
 

@@ -536,7 +536,7 @@ class EpisodeRecorder:
         def draw(keys: Any, episode: Any) -> Any:
             return jax.lax.map(lambda key: propose(key, episode), keys, batch_size=_AT_ONCE)
 
-        return jax.jit(draw)
+        return jax.jit(draw, compiler_options=compiler_options())
 
 
 def _all_parts(

@@ -11,14 +11,13 @@ from collections.abc import Collection, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import ConvexHull
-from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.support import Rectangle, SupportAsset, ring_area
 from cluttergen_jax.assets.support_map import rim_height
 from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import ConfigError, range_text
+from cluttergen_jax.geometry import hull_area
 from cluttergen_jax.physics.margin import support_margin
 from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
 
@@ -97,7 +96,7 @@ def crowding(
 
     `area` is taken in place of that, where it is more than 0.
     """
-    areas = sorted(float(ConvexHull(asset.vertices[:, :2]).volume) for asset in objects)
+    areas = sorted(hull_area(asset.vertices[:, :2]) for asset in objects)
     # Of objects that may stand there more than once, all are there before any comes again.
     rounds, rest = divmod(num_objects, len(areas))
     covered = rounds * sum(areas) + sum(areas[:rest])
@@ -157,6 +156,8 @@ def share_packed(
 
 def outline_areas(objects: Sequence[ObjectAsset], clearance: float) -> np.ndarray:
     """f64[K], square metres: of convex outlines, seen from above and half the clearance wider."""
+    from scipy.spatial import ConvexHull
+
     outlines = [ConvexHull(asset.vertices[:, :2]) for asset in objects]
     # Of an outline, `area` is the length and `volume` the area.
     return np.array([each.volume + each.area * clearance / 2 for each in outlines])
@@ -188,6 +189,8 @@ def _check_side_by_side(objects: Sequence[ObjectAsset], config: ProblemConfig, a
 
 
 def _hull_volume(asset: ObjectAsset) -> float:
+    from scipy.spatial import ConvexHull
+
     return float(ConvexHull(asset.vertices).volume)
 
 
@@ -328,6 +331,8 @@ def _size_text(size: np.ndarray) -> str:
 
 
 def _fits(asset: ObjectAsset, room: np.ndarray, rim: float, is_upright: bool) -> bool:
+    from scipy.spatial import ConvexHull
+
     vertices = asset.vertices
     if np.linalg.norm(np.ptp(vertices, axis=0)) <= room.min():
         return True
@@ -348,6 +353,8 @@ def _fits(asset: ObjectAsset, room: np.ndarray, rim: float, is_upright: bool) ->
 
 def _orientations(asset: ObjectAsset, is_upright: bool) -> Iterator[tuple[np.ndarray, bool]]:
     """Rotations in which an object may come to lie, f64[3, 3], and whether it rests so by itself."""
+    from scipy.spatial.transform import Rotation
+
     yield np.eye(3), True
     if is_upright:
         return

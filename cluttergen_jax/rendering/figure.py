@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, map_coordinates
 
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.geometry import rotate_in_plane, transform_points
@@ -135,6 +134,8 @@ def density_of(proposals: np.ndarray) -> np.ndarray:
     Raises:
       ConfigError: there are none.
     """
+    from scipy.ndimage import gaussian_filter
+
     if len(proposals) == 0:
         raise ConfigError("no proposals", "at least one", f"num_proposals={NUM_PROPOSALS}")
     counts, _, _ = np.histogram2d(
@@ -202,6 +203,8 @@ def _heat_seen(
     renderer: SceneRenderer, styles: list[RenderStyle], recording: Replay, density: np.ndarray
 ) -> np.ndarray:
     """f64[height, width, 4]: the heat of each pixel that sees the region, clear elsewhere."""
+    from scipy.ndimage import gaussian_filter, map_coordinates
+
     seen = renderer.measure(styles)
     points = np.nan_to_num(renderer.camera.points(seen.depth), nan=1e3)
     region = recording.region

@@ -14,7 +14,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 from PIL import Image, ImageColor, ImageOps
-from scipy.ndimage import distance_transform_edt
 
 from cluttergen_jax.errors import ConfigError, MissingExtraError
 from cluttergen_jax.progress import Progress
@@ -158,6 +157,8 @@ def _spread_out(light: np.ndarray, cover: np.ndarray) -> np.ndarray:
 
     So that no edge takes up the darkness of what was left out.
     """
+    from scipy.ndimage import distance_transform_edt
+
     is_covered = cover[..., 0] > 0
     if not is_covered.any():
         return light

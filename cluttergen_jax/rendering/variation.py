@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from cluttergen_jax.assets.mjcf import VISUAL_GROUP
 from cluttergen_jax.rendering.lighting import FLOOR, KEY_LIGHT, SKY_LIGHT
@@ -25,6 +24,8 @@ def table_texture(number: int) -> np.ndarray:
 
     In turns: plain with specks, boards along one side, marble, checks, and cloth.
     """
+    from scipy.ndimage import gaussian_filter
+
     rng = np.random.default_rng((number, 17))
     base, other = rng.uniform(_DARKEST, _BRIGHTEST, (2, 3))
     other = base + rng.uniform(0.15, 0.6) * (other - base)

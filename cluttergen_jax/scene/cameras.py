@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.support import SupportAsset
 from cluttergen_jax.errors import ConfigError
@@ -60,6 +59,8 @@ class FixedCamera:
     @staticmethod
     def of(name: str, camera: Camera) -> FixedCamera:
         """A pinhole camera whose axis goes through the picture's middle and whose pixels are square."""
+        from scipy.spatial.transform import Rotation
+
         # No zero is negative, in files neither.
         quaternion = Rotation.from_matrix(camera.rotation * _FLIP).as_quat(scalar_first=True) + 0.0
         fovy = 2 * math.degrees(math.atan(camera.height / 2 / camera.K[1, 1]))
@@ -77,6 +78,8 @@ class FixedCamera:
     @property
     def rotation(self) -> np.ndarray:
         """f64[3, 3]: columns are the camera's right, up and backward in the world."""
+        from scipy.spatial.transform import Rotation
+
         return Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix()
 
     @property

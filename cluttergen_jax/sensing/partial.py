@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.ndimage import maximum_filter, median_filter, minimum_filter
-from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.support import Rectangle, SupportAsset
 from cluttergen_jax.assets.support_map import (
@@ -150,6 +148,8 @@ class PartialMap:
           least_pixels: as many pixels have to show at least the height that a cell is given, so that a stray
             one makes no surface; 1 takes the highest.
         """
+        from scipy.ndimage import median_filter
+
         if depth.shape != (camera.height, camera.width):
             raise ConfigError(
                 f"a depth image of {depth.shape}", f"{(camera.height, camera.width)}, the camera's"
@@ -193,6 +193,8 @@ def level_camera(depth: np.ndarray, camera: Camera, grid: Grid) -> Camera:
     Args:
       depth: f32[H, W], metres; nan and inf are left out.
     """
+    from scipy.spatial.transform import Rotation
+
     T = grid.T_world_region
     half = np.abs(grid.corner) - grid.cell
     points = camera.points(depth)[np.isfinite(depth)]
@@ -219,6 +221,8 @@ def level_camera(depth: np.ndarray, camera: Camera, grid: Grid) -> Camera:
 
 def _close_holes(depth: np.ndarray) -> np.ndarray:
     """f[H, W]: holes up to two pixels from something measured show the nearest of what is around them."""
+    from scipy.ndimage import maximum_filter, minimum_filter
+
     for _ in range(_HOLE):
         hole = np.isnan(depth)
         if not hole.any():

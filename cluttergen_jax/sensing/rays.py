@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -28,6 +27,11 @@ FARTHEST = 20.0
 
 _SENSED = 0
 _UNSEEN = 5
+_ALONE = 1
+_ALL = slice(None)
+_TURNS = np.pi / 2 * np.array([0.0, 1.0, 0.25, 0.5, 0.75, 1.25, 1.5, 1.75])
+_OUTLINE = np.stack([np.cos(_TURNS), np.sin(_TURNS)])
+"""Directions across a picture, along which outlines of objects are measured; x and y first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,30 +120,72 @@ def cast_rays(
     Returns:
       f32[H, W], metres along the optical axis, inf where nothing is; i32[H, W], the geom, -1 for none.
     """
+    rays = _Rays.of(camera)
+    depth, geom = rays.seen(*rays.meet(model, data, groups))
     shape = (camera.height, camera.width)
-    # A direction is 1 m long along the optical axis, so that its multiples are depths.
-    directions = camera.directions.reshape(-1, 3)
-    lengths = np.linalg.norm(directions, axis=1)
-    geom = np.empty(len(directions), np.int32)
-    distance = np.empty(len(directions))
-    mujoco.mj_multiRay(
-        model,
-        data,
-        camera.eye,
-        (directions / lengths[:, None]).ravel(),
-        groups,
-        True,
-        -1,
-        geom,
-        distance,
-        None,
-        len(directions),
-        FARTHEST * lengths.max(),
-    )
-    depth = distance / lengths
-    is_hit = (geom >= 0) & (depth <= FARTHEST)
-    depth = np.where(is_hit, depth, np.inf).astype(np.float32)
-    return depth.reshape(shape), np.where(is_hit, geom, -1).reshape(shape)
+    return depth.reshape(shape), geom.reshape(shape)
+
+
+@dataclass(frozen=True, eq=False)
+class _Rays:
+    """The rays of a camera, R of them, row by row.
+
+    Attributes:
+      eye: f64[3], where they begin.
+      directions: f64[R, 3], of length 1, world frame.
+      lengths: f64[R], metres along a ray for one along the optical axis.
+    """
+
+    eye: np.ndarray
+    directions: np.ndarray
+    lengths: np.ndarray
+
+    @staticmethod
+    def of(camera: Camera) -> _Rays:
+        # A direction is 1 m long along the optical axis, so that its multiples are depths.
+        directions = camera.directions.reshape(-1, 3)
+        x, y, z = directions.T
+        lengths = np.sqrt(x * x + y * y + z * z)
+        return _Rays(camera.eye, directions / lengths[:, None], lengths)
+
+    def meet(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        groups: np.ndarray,
+        which: np.ndarray | slice = _ALL,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """f64[N], metres along the rays `which`, i[N]; i32[N], the geom that is met there, -1 for none."""
+        directions = self.directions[which]
+        geom = np.empty(len(directions), np.int32)
+        distance = np.empty(len(directions))
+        mujoco.mj_multiRay(
+            model,
+            data,
+            self.eye,
+            directions.ravel(),
+            groups,
+            True,
+            -1,
+            geom,
+            distance,
+            None,
+            len(directions),
+            FARTHEST * self.lengths.max(),
+        )
+        return distance, geom
+
+    def is_within(
+        self, distance: np.ndarray, geom: np.ndarray, which: np.ndarray | slice = _ALL
+    ) -> np.ndarray:
+        """bool[N]: where something is met that is not too far away, of what `meet` tells."""
+        return (geom >= 0) & (distance / self.lengths[which] <= FARTHEST)
+
+    def seen(self, distance: np.ndarray, geom: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """f32[R], i32[R]: depth and geom as `cast_rays` has them, of what all rays meet."""
+        is_hit = self.is_within(distance, geom)
+        depth = np.where(is_hit, distance / self.lengths, np.inf).astype(np.float32)
+        return depth, np.where(is_hit, geom, -1)
 
 
 def labels_of(model: mujoco.MjModel) -> np.ndarray:
@@ -229,7 +275,7 @@ class View:
 
 
 class InstanceSensor:
-    """Casts rays at a scene and at each of its objects alone.
+    """Casts rays at a scene and at each of its objects alone; for one thread.
 
     Args:
       objects: K of them; the same one may come twice.
@@ -239,60 +285,108 @@ class InstanceSensor:
     def __init__(
         self, objects: Sequence[ObjectAsset], support: SupportAsset, surfaces: bool = True
     ) -> None:
-        self._objects = tuple(objects)
-        self._surfaces = surfaces
         self._scene = RaySensor(sensed_model(objects, support), surfaces)
-        self._scene_data = self._scene.make_data()
+        self._data = self._scene.make_data()
+        model = self._scene.model
+        is_sensed = model.geom_group == _SENSED
+        label = labels_of(model)
+        self._geoms = [
+            np.flatnonzero(is_sensed & (label == FIRST_OBJECT + index))
+            for index in range(len(objects))
+        ]
+        # Rays are cast at what is fixed, and then at one object at a time.
+        model.geom_group[is_sensed & (label >= FIRST_OBJECT)] = _UNSEEN
+        self._label = label
         # Surfaces may reach a little beyond the collision parts.
         meshes = [[*(piece.mesh for piece in asset.pieces), *asset.parts] for asset in objects]
         self._points = [np.concatenate([mesh.vertices for mesh in each]) for each in meshes]
 
-    @cached_property
-    def _alone(self) -> tuple[RaySensor, mujoco.MjData]:
-        sensor = RaySensor(sensed_model(self._objects, None), self._surfaces)
-        return sensor, sensor.make_data()
-
     def sense_scene(self, poses: np.ndarray, camera: Camera) -> DepthImage:
         """What a camera sees of the objects at poses f[K, 7]."""
-        self._scene.pose(self._scene_data, poses)
-        return self._scene.sense(self._scene_data, camera)
+        return self._sense(self._place(poses), camera)[0]
 
     def sense(self, poses: np.ndarray, camera: Camera) -> tuple[DepthImage, tuple[Instance, ...]]:
         """What a camera sees of the objects at poses f[K, 7], and each of them by itself."""
-        image = self.sense_scene(poses, camera)
+        points = self._place(poses)
+        image, masks = self._sense(points, camera)
         instances = [
-            self._instance(index, poses, camera, image.label == FIRST_OBJECT + index)
-            for index in range(len(self._points))
+            self._instance(index, points[index], camera, mask, image.label == FIRST_OBJECT + index)
+            for index, mask in enumerate(masks)
         ]
         return image, tuple(instances)
 
+    def _place(self, poses: np.ndarray) -> list[np.ndarray]:
+        """Of each object f64[P, 3], whose hull it is within, world frame."""
+        self._scene.pose(self._data, poses)
+        return [transform_points(*each) for each in zip(poses, self._points, strict=True)]
+
+    def _sense(
+        self, points: Sequence[np.ndarray], camera: Camera
+    ) -> tuple[DepthImage, list[np.ndarray]]:
+        """What a camera sees, and of each object bool[H, W], its silhouette.
+
+        Each ray meets the nearest of what it meets of each. Most of the time goes into meshes: they are asked
+        for no more rays than can meet their object.
+        """
+        shape = (camera.height, camera.width)
+        rays = _Rays.of(camera)
+        distance, geom = rays.meet(self._scene.model, self._data, _group(_SENSED))
+        masks = []
+        for index, each in enumerate(points):
+            mask = np.zeros(shape, bool)
+            which = np.flatnonzero(_may_show(each, camera))
+            if len(which):
+                own, own_geom = self._meet_object(index, rays, which)
+                mask.ravel()[which] = rays.is_within(own, own_geom, which)
+                is_nearest = (own_geom >= 0) & ((geom[which] < 0) | (own < distance[which]))
+                distance[which[is_nearest]] = own[is_nearest]
+                geom[which[is_nearest]] = own_geom[is_nearest]
+            masks.append(mask)
+        depth, geom = (each.reshape(shape) for each in rays.seen(distance, geom))
+        label = np.where(geom >= 0, self._label[geom], FLOOR).astype(np.int32)
+        return DepthImage(depth, geom, label), masks
+
+    def _meet_object(
+        self, index: int, rays: _Rays, which: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """`_Rays.meet`, of one object alone."""
+        model = self._scene.model
+        model.geom_group[self._geoms[index]] = _ALONE
+        found = rays.meet(model, self._data, _group(_ALONE), which)
+        model.geom_group[self._geoms[index]] = _UNSEEN
+        return found
+
     def _instance(
-        self, index: int, poses: np.ndarray, camera: Camera, visible: np.ndarray
+        self,
+        index: int,
+        points: np.ndarray,
+        camera: Camera,
+        mask: np.ndarray,
+        visible: np.ndarray,
     ) -> Instance:
-        """Rays are cast where the object can be seen at most."""
-        width = camera.width
-        height = camera.height
-        canvas = np.zeros((3 * height, 3 * width), bool)
-        left, right, upper, lower = self._window(
-            transform_points(poses[index], self._points[index]), camera
+        """An object by its silhouette in the picture, and by what of it lies beyond the picture's edge."""
+        left, right, upper, lower = self._window(points, camera)
+        beyond = np.zeros((max(lower - upper, 0), max(right - left, 0)), bool)
+        rows = np.arange(upper, lower)
+        columns = np.arange(left, right)
+        is_in_picture = np.ix_(
+            (rows >= 0) & (rows < camera.height), (columns >= 0) & (columns < camera.width)
         )
-        if left < right and upper < lower:
+        is_beyond = np.ones(beyond.shape, bool)
+        is_beyond[is_in_picture] = False
+        if is_beyond.any():
             shifted = camera.K - np.array([[0, 0, left], [0, 0, upper], [0, 0, 0]])
             window = replace(camera, width=right - left, height=lower - upper, K=shifted)
-            alone, data = self._alone
-            alone.pose(data, poses, np.arange(len(self._points)) == index)
-            silhouette = alone.sense(data, window).geom >= 0
-            canvas[height + upper : height + lower, width + left : width + right] = silhouette
-        mask = canvas[height : 2 * height, width : 2 * width]
-        # At an edge, rays of the window and of the picture may round to different sides.
-        mask |= visible
-        rows, columns = np.nonzero(canvas)
-        if not len(rows):
+            which = np.flatnonzero(is_beyond & _may_show(points, window))
+            rays = _Rays.of(window)
+            beyond.ravel()[which] = rays.is_within(*self._meet_object(index, rays, which), which)
+        num_pixels = int(mask.sum()) + int(beyond.sum())
+        if not num_pixels:
             return Instance(mask, visible, 0, None)
-        rows = rows - height
-        columns = columns - width
+        rows = np.append(np.flatnonzero(mask.any(1)), rows[beyond.any(1)])
+        columns = np.append(np.flatnonzero(mask.any(0)), columns[beyond.any(0)])
         box = int(columns.min()), int(columns.max()), int(rows.min()), int(rows.max())
-        return Instance(mask.copy(), visible, len(rows), box)
+        return Instance(mask, visible, num_pixels, box)
 
     def _window(self, points: np.ndarray, camera: Camera) -> tuple[int, int, int, int]:
         """First and last column and row, the latter excluded, that points f64[P, 3] can reach.
@@ -310,3 +404,37 @@ class InstanceSensor:
             limits = np.clip(reach, limits[:, :1], limits[:, 1:]).astype(int)
         (left, right), (upper, lower) = limits.tolist()
         return left, right, upper, lower
+
+
+def _group(number: int) -> np.ndarray:
+    """u8[mjNGROUP]: one group of geoms alone is seen."""
+    groups = np.zeros(mujoco.mjNGROUP, np.uint8)
+    groups[number] = 1
+    return groups
+
+
+def _may_show(points: np.ndarray, camera: Camera) -> np.ndarray:
+    """bool[H, W]: the pixels that may show something of the hull of f64[P, 3]; not many more.
+
+    All between the outermost of the points along each of some directions of the picture, and a pixel more.
+    """
+    shape = (camera.height, camera.width)
+    pixels, depth = camera.project(points)
+    if (depth <= 0).all():
+        return np.zeros(shape, bool)
+    if (depth <= 0).any():
+        return np.ones(shape, bool)
+    reach = pixels @ _OUTLINE
+    low = reach.min(0) - 1
+    high = reach.max(0) + 1
+    x = np.arange(camera.width) + 0.5
+    y = np.arange(camera.height) + 0.5
+    is_open = ((y >= low[1]) & (y <= high[1]))[:, None] & ((x >= low[0]) & (x <= high[0]))
+    rows = np.flatnonzero(is_open.any(1))
+    columns = np.flatnonzero(is_open.any(0))
+    if not len(rows):
+        return is_open
+    window = np.ix_(rows, columns)
+    along = x[columns][:, None] * _OUTLINE[0] + y[rows][:, None, None] * _OUTLINE[1]
+    is_open[window] = ((along >= low) & (along <= high)).all(-1)
+    return is_open

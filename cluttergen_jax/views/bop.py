@@ -22,15 +22,12 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-from scipy.spatial import ConvexHull
-from scipy.spatial.distance import pdist
 
 from cluttergen_jax.assets.object import ObjectAsset
 from cluttergen_jax.assets.object_files import object_hash
 from cluttergen_jax.assets.shading import shade
 from cluttergen_jax.assets.shape import Piece
 from cluttergen_jax.assets.support_file import support_hash
-from cluttergen_jax.assets.symmetry import symmetries_of
 from cluttergen_jax.config import PixelOrigin, Variation
 from cluttergen_jax.errors import ConfigError
 from cluttergen_jax.files import folder_whole, remove_partial, write_atomically
@@ -443,6 +440,9 @@ def model_ply(asset: ObjectAsset) -> bytes:
 
 def _extent(vertices: np.ndarray) -> dict[str, float]:
     """Bounding box and diameter, the largest distance between two vertices f[V, 3]; millimetres."""
+    from scipy.spatial import ConvexHull
+    from scipy.spatial.distance import pdist
+
     low = vertices.min(0)
     high = vertices.max(0)
     corners = vertices[ConvexHull(vertices).vertices]
@@ -455,6 +455,9 @@ def _extent(vertices: np.ndarray) -> dict[str, float]:
 
 def _symmetries(pieces: Sequence[Piece]) -> dict[str, list]:
     """What BOP states of an object that looks the same in several poses, millimetres; nothing of others."""
+    # It loads trimesh, which other datasets do without.
+    from cluttergen_jax.assets.symmetry import symmetries_of
+
     found = symmetries_of(pieces)
     record: dict[str, list] = {}
     if len(found.axes):

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contourpy
 import numpy as np
-from scipy.cluster.hierarchy import DisjointSet
-from scipy.spatial import Delaunay
 
 _INSET = 1 / 64
 """Pixels by which the outline stays inside the mask: rounded down, its corners are pixels of the mask."""
@@ -63,6 +61,9 @@ def _bridges(points: np.ndarray, ring_of: np.ndarray) -> list[tuple[int, int]]:
 
     The shortest line between sets of points is an edge of their Delaunay triangulation.
     """
+    from scipy.cluster.hierarchy import DisjointSet
+    from scipy.spatial import Delaunay
+
     corners = Delaunay(points).simplices
     edges = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
     edges = edges[ring_of[edges[:, 0]] != ring_of[edges[:, 1]]]

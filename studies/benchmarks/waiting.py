@@ -34,11 +34,15 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     ),
     "turntable": ("render", "BANK", "--turntable", "--no-picture", "--out", "OUT"),
     "heat map": ("render", "BANK", "--density", "--no-picture", "--out", "OUT"),
+    "80 views": (
+        *("dataset", "BANK", "--size", "320x240", "--num-scenes", "20", "--cameras", "free:4"),
+        *("--out", "OUT"),
+    ),
     "grasps of dining": ("robot", "grasps", "dining"),
 }
 """By row; OUT is a new folder, and BANK one of twenty scenes."""
-AGAIN = {"first scene", "20 scenes"}
-"""Of which most of the first time is compiling."""
+AGAIN = {"first scene", "20 scenes", "heat map"}
+"""Of which much of the first time is compiling."""
 _LONGEST = 3600.0
 
 

@@ -156,7 +156,18 @@ def test_what_samples_scenes_loads_neither_trainers_nor_importers():
     code = "import sys, cluttergen_jax.generation.generate; print(*sorted(set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "jax" in done.stdout.split()
-    assert not {"brax", "warp", "trimesh", "orbax", "optax"} & set(done.stdout.split())
+    heavy = {"brax", "warp", "trimesh", "orbax", "optax", "scipy"}
+    assert not heavy & set(done.stdout.split())
+
+
+def test_what_draws_scenes_of_a_bank_loads_no_readers_of_files():
+    code = (
+        "import sys, cluttergen_jax.generation.sources.rendering, cluttergen_jax.views.dataset;"
+        "print(*sorted(set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "jax" in done.stdout.split()
+    assert not {"brax", "warp", "trimesh", "orbax", "optax", "scipy"} & set(done.stdout.split())
 
 
 @pytest.mark.slow

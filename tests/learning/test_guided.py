@@ -13,6 +13,7 @@ from cluttergen_jax.learning.methods import proposer_of
 from cluttergen_jax.learning.policies.checkpoint import read_checkpoint
 from cluttergen_jax.learning.policies.guided import (
     NUM_FEATURES,
+    StabilityNet,
     StabilityNetConfig,
     blank_params,
     features_of,
@@ -85,6 +86,15 @@ def test_a_fit_learns_what_can_be_learned_and_equal_seeds_fit_alike():
     assert stands.precision > 0.9
     again, _ = fit(SMALL, StabilityFitConfig(num_epochs=12), examples, seed=0)
     jax.tree.map(np.testing.assert_array_equal, params, again)
+
+
+def test_blank_parameters_are_those_that_the_network_begins_with_but_for_their_values():
+    for network in (StabilityNetConfig(), StabilityNetConfig(width=8, depth=3)):
+        begun = StabilityNet(network).init(jax.random.key(0), jnp.zeros((1, NUM_FEATURES)))
+        blank = blank_params(network)
+        assert jax.tree.structure(blank) == jax.tree.structure(begun)
+        for ours, theirs in zip(jax.tree.leaves(blank), jax.tree.leaves(begun), strict=True):
+            assert (ours.shape, ours.dtype) == (theirs.shape, theirs.dtype)
 
 
 def test_calibration_counts_what_stood(tmp_path):

@@ -24,7 +24,6 @@ from cluttergen_jax.rendering.viewer.source import SceneSource
 from cluttergen_jax.scene import Bank, Scene, read_bank
 from cluttergen_jax.scene.bank.bank import INDEX
 from cluttergen_jax.scene.bank.scene import parse_reference
-from cluttergen_jax.scene.mjcf_file import read_mjcf_scene_with_notes
 
 
 class BankSource:
@@ -180,6 +179,9 @@ class FileSource(ScenesSource):
     _is_a = "a scene file"
 
     def __init__(self, path: Path) -> None:
+        # Readers of files load what no bank needs.
+        from cluttergen_jax.scene.mjcf_file import read_mjcf_scene_with_notes
+
         scene, self.notes = read_mjcf_scene_with_notes(path)
         super().__init__(path.stem, {0: scene})
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 from typing import Any
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 from cluttergen_jax.learning.policies.checkpoint import Checkpoint
-from cluttergen_jax.learning.ppo.checkpoint import blank, read_policy
-from cluttergen_jax.numerics import new_key
+from cluttergen_jax.learning.ppo.checkpoint import read_policy
 from cluttergen_jax.placement import Episode, Rules
 from cluttergen_jax.placement.candidate_sampler import (
     CandidateConfig,
@@ -23,6 +24,7 @@ from cluttergen_jax.placement.methods.baselines import LowestFit, costs_of_stayi
 from cluttergen_jax.types import Array
 
 NUM_FEATURES = 24
+NUM_HEADS = 5
 _DEEPEST = -0.05
 _HIGHEST = 0.3
 
@@ -68,8 +70,8 @@ class StabilityNet(nn.Module):
         hidden = features
         for _ in range(self.config.depth):
             hidden = nn.relu(nn.Dense(self.config.width)(hidden))
-        heads = nn.Dense(5)(hidden)
-        return StabilityPrediction(*(heads[..., index] for index in range(5)))
+        heads = nn.Dense(NUM_HEADS)(hidden)
+        return StabilityPrediction(*(heads[..., index] for index in range(NUM_HEADS)))
 
 
 def features_of(rules: Rules, episode: Episode, candidates: CandidateSet) -> Array:
@@ -154,8 +156,16 @@ class Guided(CandidateSampler, eq=False):
 
 
 def blank_params(network: StabilityNetConfig) -> Any:
-    """Parameters of the network's shapes, all zero."""
-    return blank(StabilityNet(network).init, new_key(0), jnp.zeros((1, NUM_FEATURES)))
+    """Parameters of the network's shapes, all zero, without tracing how it begins."""
+    widths = [NUM_FEATURES, *[network.width] * network.depth, NUM_HEADS]
+    layers = {
+        f"Dense_{place}": {
+            "bias": np.zeros(after, np.float32),
+            "kernel": np.zeros((before, after), np.float32),
+        }
+        for place, (before, after) in enumerate(itertools.pairwise(widths))
+    }
+    return {"params": layers}
 
 
 def make_guided(

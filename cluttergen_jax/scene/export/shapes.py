@@ -16,8 +16,6 @@ from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
-from scipy.spatial.transform import Rotation
 
 from cluttergen_jax.assets.mjcf import own_contact
 from cluttergen_jax.assets.obj import mesh_text, part_name, shaded_text
@@ -213,6 +211,9 @@ class Principal:
 
 def principal_of(asset: ObjectAsset) -> Principal:
     """The principal frame of an asset: of the 24 the one that is turned least from the object frame."""
+    from scipy.optimize import linear_sum_assignment
+    from scipy.spatial.transform import Rotation
+
     moments, axes = np.linalg.eigh(np.asarray(asset.inertia, np.float64))
     _, order = linear_sum_assignment(-np.abs(axes))
     moments = moments[order]
