@@ -6,6 +6,7 @@ still be apart, one under the rim of the other.
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull
 
@@ -29,7 +30,7 @@ class ConvexOutlines:
     """
 
     def __init__(self, layout: Layout) -> None:
-        self._corners = [_corners(layout, index) for index in range(layout.num_objects)]
+        self._corners = [corners_of_object(layout, index) for index in range(layout.num_objects)]
 
     def reaches(self, poses: np.ndarray) -> np.ndarray:
         """How far each object reaches in each of D directions from where it is: f64[n, K, D], metres.
@@ -45,18 +46,22 @@ class ConvexOutlines:
         return np.stack(reaches, axis=1)
 
 
-def _corners(layout: Layout, index: int) -> np.ndarray:
+def corners_of_geom(model: mujoco.MjModel, geom: int) -> np.ndarray:
+    """f64[V, 3]: vertices of a mesh, corners of a box around everything else, in the geom's own frame."""
+    mesh = model.geom_dataid[geom]
+    if mesh >= 0:
+        first = model.mesh_vertadr[mesh]
+        return model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(np.float64)
+    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+    return model.geom_aabb[geom, :3] + signs * model.geom_aabb[geom, 3:]
+
+
+def corners_of_object(layout: Layout, index: int) -> np.ndarray:
     """f64[V, 3]: corners of the convex hull of an object's geoms, in its own frame."""
     model = layout.model
     points = []
     for geom in np.flatnonzero(layout.geom_object == index):
-        mesh = model.geom_dataid[geom]
-        if mesh >= 0:
-            first = model.mesh_vertadr[mesh]
-            local = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(np.float64)
-        else:
-            signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-            local = model.geom_aabb[geom, :3] + signs * model.geom_aabb[geom, 3:]
+        local = corners_of_geom(model, geom)
         points.append(rotate(np, model.geom_quat[geom], local) + model.geom_pos[geom])
     everything = np.concatenate(points)
     # Joggled, it works for what is flat, too.
