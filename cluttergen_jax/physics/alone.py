@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import jax
 import mujoco
 import numpy as np
-from scipy.spatial import ConvexHull
 
-from cluttergen_jax.geometry import conjugate, cross_2d, product, rotate
-from cluttergen_jax.physics.convex_outlines import corners_of_geom, corners_of_object
+from cluttergen_jax.geometry import conjugate, cross_2d, product, rotate, unit
+from cluttergen_jax.physics.convex_outlines import corners_of_geom, corners_of_parts
 from cluttergen_jax.physics.host import empty_settling
 from cluttergen_jax.physics.layout import Layout
+from cluttergen_jax.physics.margin import convex_hull
 from cluttergen_jax.types import Settling, Verdict
 
 if TYPE_CHECKING:
@@ -48,6 +48,8 @@ _UPRIGHT = 1e-6
 """Parts x and y of the quaternion of what is turned about z alone, at most."""
 _SETTLED = 1e-3
 """Those of what has settled upright: its outline is that of its own frame, to a fraction of `ROOM`."""
+_SIDES = 24
+"""Of the polygon that stands for an object's outline: around it, so that nothing is nearer than it seems."""
 _FLAT = 1e-5
 """Metres by which the corners of a level face may differ in height."""
 
@@ -119,16 +121,15 @@ class Alone:
         self._heights = np.array([top.height for top in self._tops])
         self._row = np.full((layout.num_objects, len(self._tops)), -1)
         self._known: _Rests | None = None
-        corners = [corners_of_object(layout, index) for index in range(layout.num_objects)]
+        parts = [corners_of_parts(layout, index) for index in range(layout.num_objects)]
+        corners = [np.concatenate(each) for each in parts]
         self._bottom = np.array([-each[:, 2].min() for each in corners])
         self._sphere = np.array([np.linalg.norm(each, axis=1).max() for each in corners])
         self._circle = np.array([np.linalg.norm(each[:, :2], axis=1).max() for each in corners])
-        self._outline = _outlines(corners)
-        bases = [
-            _below(layout, index, _TRIAL_GAPS.max() + _MOST_MOVED - bottom)
-            for index, bottom in enumerate(self._bottom)
-        ]
-        self._base = _outlines(bases)
+        self._outline = np.stack([_outline(each[:, :2]) for each in corners])
+        meets = _TRIAL_GAPS.max() + _MOST_MOVED - self._bottom
+        bases = [_below(*each) for each in zip(parts, meets, strict=True)]
+        self._base = np.stack([_outline(each[:, :2]) for each in bases])
 
     def settle(
         self,
@@ -350,16 +351,18 @@ def level_tops(layout: Layout) -> list[LevelTop]:
         height = float(own[:, 2].max())
         face = own[own[:, 2] > height - _FLAT, :2]
         is_round = model.geom_type[geoms[place]] not in _WITH_CORNERS
-        if is_round or len(face) < 3 or np.linalg.matrix_rank(face - face[0], _FLAT) < 2:
+        if is_round or np.linalg.matrix_rank(face - face[0], _FLAT) < 2:
             continue
-        hull = ConvexHull(face)
+        hull = np.array(convex_hull(face))
+        side = np.roll(hull, -1, axis=0) - hull
+        inwards = unit(np.stack([-side[:, 1], side[:, 0]], axis=1))
         above = [each for at, each in enumerate(corners) if at != place]
         above = [each[:, :2] for each in above if each[:, 2].max() > height + _FLAT]
         top = LevelTop(
-            inwards=-hull.equations[:, :2],
-            offset=-hull.equations[:, 2],
+            inwards=inwards,
+            offset=-(inwards * hull).sum(1),
             height=height,
-            middle=face[hull.vertices].mean(0),
+            middle=hull.mean(0),
             lower=np.array([each.min(0) for each in above]).reshape(-1, 2),
             upper=np.array([each.max(0) for each in above]).reshape(-1, 2),
         )
@@ -383,25 +386,22 @@ _PLACES = 15
 _WITH_CORNERS = (int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_MESH))
 
 
-def _outlines(corners: list[np.ndarray]) -> np.ndarray:
-    """f64[K, C, 2]: convex outlines of K upright objects in their own frames, first corners repeated."""
-    found = []
-    for each in corners:
-        # Joggled, it works for what is a line in plan, too.
-        found.append(each[ConvexHull(each[:, :2], qhull_options="QJ").vertices, :2])
-    most = max(map(len, found))
-    return np.stack(
-        [np.concatenate([each, each[:1].repeat(most - len(each), 0)]) for each in found]
-    )
+def _outline(points: np.ndarray) -> np.ndarray:
+    """f64[D, 2]: corners of a polygon around points f64[V, 2], whose D sides are at equal angles."""
+    angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
+    across = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    along = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
+    reach = (points @ across.T).max(0)
+    turn = 2 * np.pi / _SIDES
+    # Each side ends where the next one begins.
+    end = (np.roll(reach, -1) - reach * np.cos(turn)) / np.sin(turn)
+    return reach[:, None] * across + end[:, None] * along
 
 
-def _below(layout: Layout, index: int, height: float) -> np.ndarray:
-    """f64[V, 3]: corners of an object's part below a height of its own frame; no other meets a top."""
-    model = layout.model
+def _below(parts: list[np.ndarray], height: float) -> np.ndarray:
+    """f64[V, 3]: corners of what of convex parts, f64[v, 3] each, is below a height: no more meets a top."""
     found = []
-    for geom in np.flatnonzero(layout.geom_object == index):
-        local = corners_of_geom(model, geom)
-        points = rotate(np, model.geom_quat[geom], local) + model.geom_pos[geom]
+    for points in parts:
         is_below = points[:, 2] <= height
         low = points[is_below]
         high = points[~is_below]
@@ -455,5 +455,5 @@ def _gap_across(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     side = np.roll(one, -1, axis=1) - one
     length = np.linalg.norm(side, axis=-1)
     beyond = cross_2d(other[:, None] - one[:, :, None], side[:, :, None]).min(2)
-    # Corners that come twice have no side between them.
-    return np.where(length > 0, beyond / np.maximum(length, 1e-12), -np.inf).max(1)
+    # Sides that have shrunk to a corner tell nothing.
+    return np.where(length > _FLAT, beyond / np.maximum(length, _FLAT), -np.inf).max(1)

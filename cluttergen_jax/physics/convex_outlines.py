@@ -30,7 +30,7 @@ class ConvexOutlines:
     """
 
     def __init__(self, layout: Layout) -> None:
-        self._corners = [corners_of_object(layout, index) for index in range(layout.num_objects)]
+        self._corners = [_corners(layout, index) for index in range(layout.num_objects)]
 
     def reaches(self, poses: np.ndarray) -> np.ndarray:
         """How far each object reaches in each of D directions from where it is: f64[n, K, D], metres.
@@ -56,14 +56,19 @@ def corners_of_geom(model: mujoco.MjModel, geom: int) -> np.ndarray:
     return model.geom_aabb[geom, :3] + signs * model.geom_aabb[geom, 3:]
 
 
-def corners_of_object(layout: Layout, index: int) -> np.ndarray:
-    """f64[V, 3]: corners of the convex hull of an object's geoms, in its own frame."""
+def corners_of_parts(layout: Layout, index: int) -> list[np.ndarray]:
+    """f64[V, 3] of each of an object's geoms: its corners, in the object's frame."""
     model = layout.model
-    points = []
+    parts = []
     for geom in np.flatnonzero(layout.geom_object == index):
         local = corners_of_geom(model, geom)
-        points.append(rotate(np, model.geom_quat[geom], local) + model.geom_pos[geom])
-    everything = np.concatenate(points)
+        parts.append(rotate(np, model.geom_quat[geom], local) + model.geom_pos[geom])
+    return parts
+
+
+def _corners(layout: Layout, index: int) -> np.ndarray:
+    """f64[V, 3]: corners of the convex hull of an object's geoms, in its own frame."""
+    everything = np.concatenate(corners_of_parts(layout, index))
     # Joggled, it works for what is flat, too.
     return everything[ConvexHull(everything, qhull_options="QJ").vertices]
 

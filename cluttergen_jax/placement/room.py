@@ -126,11 +126,13 @@ def usual_budget(
       None for `max_attempts` for each.
     """
     placement = config.placement
+    if not sizes or not placement.ruin_after:
+        return None
     area = area_asked(config, support) or _area_of(config.region or support.region)
     covered = (
         placement.num_objects * float(np.prod([each[:2] for each in sizes], axis=1).mean()) / area
     )
-    if covered <= _ROOMY or not placement.ruin_after:
+    if covered <= _ROOMY:
         return None
     each = min(placement.max_attempts * 2 ** ((covered - _ROOMY) / _TWICE_AS_MANY), _MOST_EACH)
     return min(round(max(each, placement.max_attempts) * placement.num_objects), MAX_BUDGET)

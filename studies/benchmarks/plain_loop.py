@@ -231,7 +231,7 @@ def main(config: PlainLoop) -> None:
     about = prose(
         f"""Scenes that stand a CPU-second of one thread, the median of {config.rounds} rounds in which all
         take turns, files included. The loop looks for a free spot with MuJoCo's own contacts, {_SPOTS} times
-        at most, and tries an object {_ATTEMPTS} times; its scenes have to pass the last check that ours pass."""
+        at most, and tries an object {_ATTEMPTS} times; its scenes have to pass our last check."""
     )
     text = "\n\n".join(["## Against a plain loop", about, table(heads, rows)])
     report("plain_loop", text, write=config.write)
