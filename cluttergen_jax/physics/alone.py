@@ -29,10 +29,10 @@ RELEASE_GAP = 0.001
 """Metres above a top at which rules let go of what is to stand there; of other heights nothing is known."""
 _SAME_GAP = 2e-5
 
-_TRIAL_YAWS = 2 * np.pi * np.arange(8) / 8 + 0.1 * np.arange(8)
-_TRIAL_GAPS = RELEASE_GAP * np.array([1, 0.1, 0.5, 1.5, 2, 2.5, 3, 1])
+_TRIAL_YAWS = np.radians([0, 67, 131, 194, 259, 318])
+_TRIAL_GAPS = RELEASE_GAP * np.array([1, 0.1, 0.5, 1, 2, 3])
 """Radians and metres of an object's trials. The first is what rules do, and the others have to end alike."""
-_OTHER_TRIALS = 4
+_OTHER_TRIALS = 3
 """Of which the ends are checked with the second detector, too."""
 
 # Metres and sines by which the ends of two trials may differ, and metres that an object may move meanwhile.
@@ -257,7 +257,7 @@ class Alone:
         """How they settle; what is asked for the first time is simulated now."""
         asked = np.unique(np.stack([found.index, found.top], axis=1), axis=0)
         new = asked[self._row[asked[:, 0], asked[:, 1]] < 0]
-        size = self._engine.max_simulations // len(_TRIAL_YAWS)
+        size = max(self._engine.max_simulations // len(_TRIAL_YAWS), 1)
         for first in range(0, len(new), size):
             some = new[first : first + size]
             learned = self._try(some[:, 0], some[:, 1])

@@ -72,8 +72,8 @@ def test_attempts_end_as_those_that_are_simulated(known, simulated, monkeypatch)
     expected = simulated.settle_batch(*scenes)
     numbers = counted(monkeypatch)
     found = known.settle_batch(*scenes)
-    # The trials of three objects, eight each, and the attempts that geometry does not decide.
-    assert numbers[0] == 24
+    # The trials of three objects, six each, and the attempts that geometry does not decide.
+    assert numbers[0] == 18
     assert 60 < sum(numbers[1:]) < 240
     np.testing.assert_array_equal(found.verdict, expected.verdict)
     assert len(set(found.verdict.tolist())) >= 3
@@ -126,7 +126,7 @@ def test_what_topples_in_some_turns_is_always_simulated(monkeypatch):
     found = NativePhysics(layout, KNOWN).settle_batch(*asked)
     assert found.verdict == expected.verdict
     if expected.verdict != int(Verdict.STABLE):
-        assert numbers == [8, 1]
+        assert numbers == [6, 1]
 
 
 def test_scenes_of_what_rests_alone_are_asked_of_one_detector(known, simulated):
