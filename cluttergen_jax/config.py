@@ -218,6 +218,9 @@ class StabilityConfig:
       stand_full_shift, stand_full_turn: metres and radians allowed by the end of the second stage.
       both_detectors: what the last check and the slight disturbance ask is asked with each of MuJoCo's two
         detectors of convex collisions (`DETECTORS`), not with its own choice alone; native engine only.
+      decide_alone: what is let go upright on a level top, with nothing else within reach, is not simulated:
+        how an object settles there is simulated once, in some turns (`physics.alone`); and what rests there
+        so is not asked of the second detector again. Native engine only.
       side_support: support margins count what holds an object from its sides (`physics.margin.held_margin`).
       lower_releases: what is let go is lowered first, to just above what it touches there: over a hollow the
         height maps of searches are too high; native engine only.
@@ -251,6 +254,7 @@ class StabilityConfig:
     stand_full_shift: float = 0.005
     stand_full_turn: float = math.radians(5)
     both_detectors: bool = False
+    decide_alone: bool = False
     side_support: bool = False
     lower_releases: bool = False
     robust_tilt: float = 0.0
@@ -308,7 +312,7 @@ class StabilityConfig:
 def stability_record(config: StabilityConfig) -> Record:
     """The config as records keep it: without what older versions did not know, where that is off."""
     record = asdict(config)
-    for name in ("both_detectors", "side_support", "lower_releases"):
+    for name in ("both_detectors", "decide_alone", "side_support", "lower_releases"):
         if not record[name]:
             del record[name]
     if config.robust_tilt:
@@ -321,6 +325,7 @@ _DECIDED = (
     "stop_when_decided",
     "judge_neighbours",
     "both_detectors",
+    "decide_alone",
     "side_support",
     "lower_releases",
     "robust_tilt",

@@ -163,23 +163,32 @@ def rectangle_corners(center: Any, half_extents: Any, yaw: float) -> np.ndarray:
 
 def hull_area(points: np.ndarray) -> float:
     """Square metres within the convex hull of f[N, 2]; 0 where they are on a line."""
-    ordered = sorted({(x, y) for x, y in points.tolist()})
-    ring = [*_chain(ordered), *_chain(ordered[::-1])]
-    x, y = np.array(ring, np.float64).T - np.array(ordered[0], np.float64)[:, None]
+    ring = np.array(convex_hull(points), np.float64)
+    x, y = (ring - ring[0]).T
     return float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum() / 2)
 
 
+def convex_hull(points: np.ndarray) -> list[tuple[float, float]]:
+    """Corners of the convex hull of f[M, 2], counter-clockwise (Andrew's monotone chain)."""
+    ordered = sorted({(x, y) for x, y in points.tolist()})
+    if len(ordered) < 3:
+        return ordered
+    return [*_chain(ordered)[:-1], *_chain(ordered[::-1])[:-1]]
+
+
 def _chain(ordered: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Of points in order along their hull: its corners on one side, but the last."""
+    """The lower hull of points in ascending order; the upper one, of points in descending order."""
     chain: list[tuple[float, float]] = []
-    for x, y in ordered:
+    for point in ordered:
+        x, y = point
         while len(chain) > 1:
-            (x0, y0), (x1, y1) = chain[-2:]
+            x0, y0 = chain[-2]
+            x1, y1 = chain[-1]
             if (x1 - x0) * (y - y0) - (y1 - y0) * (x - x0) > 0:
                 break
             chain.pop()
-        chain.append((x, y))
-    return chain[:-1] or chain
+        chain.append(point)
+    return chain
 
 
 def closing(height: np.ndarray, width: int) -> np.ndarray:

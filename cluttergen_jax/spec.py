@@ -258,7 +258,8 @@ class SceneSpec(PlacementRequest):
       ruin_after: number of failed attempts in a row after which some placed objects, with all that lean on
         them, are removed and placed again; 0 removes nothing. If not given: the method's own, 0 for most.
       budget: attempts of a scene in all; `max_attempts` for each object if not given, with "packed" and
-        where doors are closed unasked twice as many.
+        where doors are closed unasked twice as many, and up to 12 for each where it is crowded
+        (`placement.room.usual_budget`).
       min_margin: minimum horizontal distance (m) from an object's centre of mass to the edge of its support;
         0 asks for nothing. If not given: 0.003.
       robust: require that an object, and whatever it touches, is also stable while gravity is tilted by 5
@@ -660,7 +661,7 @@ class SceneSpec(PlacementRequest):
         from cluttergen_jax.assets.support_file import find_support
         from cluttergen_jax.physics import engine_of
         from cluttergen_jax.placement.problem import ProblemConfig
-        from cluttergen_jax.placement.room import check_number, check_sets
+        from cluttergen_jax.placement.room import check_number, check_sets, usual_budget
 
         if self.seat != DEFAULTS["seat"] and not self.natural:
             given = f"seat = {self.seat!r} of scenes that are not natural"
@@ -734,7 +735,7 @@ class SceneSpec(PlacementRequest):
         is_native = is_heap or placement.crowd_targets is not None
         engine: Engine = "native" if is_native else self.engine
         has_two_detectors = engine_of(engine, stability) == "native"
-        return ProblemConfig(
+        config = ProblemConfig(
             pool=pool,
             objects=chosen,
             named=tuple(name for name in self.objects if is_plain_name(name)),
@@ -753,11 +754,18 @@ class SceneSpec(PlacementRequest):
             stability=replace(
                 stability,
                 both_detectors=has_two_detectors and self.setting != "paper",
+                decide_alone=has_two_detectors and self.setting != "paper",
                 # What is drawn together is held by its neighbours.
                 side_support=stability.side_support or placement.crowd_targets is not None,
             ),
             contact=ContactConfig(noslip_iterations=PILE_NOSLIP if is_heap else 0),
         )
+        if placement.budget is not None or self.setting == "paper":
+            return config
+        facts = (found or find_pool(pool)).facts
+        sizes = [each.size for each in facts if not chosen or each.name in chosen]
+        budget = usual_budget(sizes, config, find_support(self.support).on_surface(self.surface))
+        return replace(config, placement=replace(placement, budget=budget))
 
     def _num_weighted(self, facts: Sequence[ObjectFacts], chosen: Sequence[str]) -> int:
         """How many of the chosen objects, all if there are none, may be drawn by their weights."""

@@ -383,8 +383,11 @@ class Runner:
             judge_neighbours=judge_neighbours,
         )
         has_two = engine_of(engine, stability) == "native"
-        is_asked = trial.spec.setting != "paper"
-        return replace(config, stability=replace(stability, both_detectors=is_asked and has_two))
+        is_usual = trial.spec.setting != "paper" and has_two
+        return replace(
+            config,
+            stability=replace(stability, both_detectors=is_usual, decide_alone=is_usual),
+        )
 
     def _base_setup(self, resolved: ResolvedTrial) -> Setup:
         """The trial's setup but for method and stability; the latest few are kept.

@@ -6,6 +6,7 @@ still be apart, one under the rim of the other.
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 
 from cluttergen_jax.geometry import rotate
@@ -44,22 +45,31 @@ class ConvexOutlines:
         return np.stack(reaches, axis=1)
 
 
+def corners_of_geom(model: mujoco.MjModel, geom: int) -> np.ndarray:
+    """f64[V, 3]: vertices of a mesh, corners of a box around everything else, in the geom's own frame."""
+    mesh = model.geom_dataid[geom]
+    if mesh >= 0:
+        first = model.mesh_vertadr[mesh]
+        return model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(np.float64)
+    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+    return model.geom_aabb[geom, :3] + signs * model.geom_aabb[geom, 3:]
+
+
+def corners_of_parts(layout: Layout, index: int) -> list[np.ndarray]:
+    """f64[V, 3] of each of an object's geoms: its corners, in the object's frame."""
+    model = layout.model
+    parts = []
+    for geom in np.flatnonzero(layout.geom_object == index):
+        local = corners_of_geom(model, geom)
+        parts.append(rotate(np, model.geom_quat[geom], local) + model.geom_pos[geom])
+    return parts
+
+
 def _corners(layout: Layout, index: int) -> np.ndarray:
     """f64[V, 3]: corners of the convex hull of an object's geoms, in its own frame."""
     from scipy.spatial import ConvexHull
 
-    model = layout.model
-    points = []
-    for geom in np.flatnonzero(layout.geom_object == index):
-        mesh = model.geom_dataid[geom]
-        if mesh >= 0:
-            first = model.mesh_vertadr[mesh]
-            local = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(np.float64)
-        else:
-            signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-            local = model.geom_aabb[geom, :3] + signs * model.geom_aabb[geom, 3:]
-        points.append(rotate(np, model.geom_quat[geom], local) + model.geom_pos[geom])
-    everything = np.concatenate(points)
+    everything = np.concatenate(corners_of_parts(layout, index))
     # Joggled, it works for what is flat, too.
     return everything[ConvexHull(everything, qhull_options="QJ").vertices]
 

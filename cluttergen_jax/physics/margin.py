@@ -16,6 +16,7 @@ from itertools import pairwise
 import mujoco
 import numpy as np
 
+from cluttergen_jax.geometry import convex_hull
 from cluttergen_jax.physics.layout import Layout
 
 MIN_LIFT = math.sin(math.radians(10))
@@ -102,29 +103,6 @@ def held_margin(points: np.ndarray, sides: np.ndarray, normals: np.ndarray) -> f
     # Over an edge it tips about both of its points: the one at which less holds it counts.
     held = np.where(reach >= farthest[:, None] - _SAME_REACH, held, np.inf).min(1)
     return max(float((farthest + held).min()), least)
-
-
-def convex_hull(points: np.ndarray) -> list[Point]:
-    """Corners of the convex hull of f[M, 2], counter-clockwise (Andrew's monotone chain)."""
-    ordered = sorted({(x, y) for x, y in points.tolist()})
-    if len(ordered) < 3:
-        return ordered
-    return [*_chain(ordered)[:-1], *_chain(ordered[::-1])[:-1]]
-
-
-def _chain(ordered: list[Point]) -> list[Point]:
-    """The lower hull of points in ascending order; the upper one, of points in descending order."""
-    chain: list[Point] = []
-    for point in ordered:
-        x, y = point
-        while len(chain) > 1:
-            x0, y0 = chain[-2]
-            x1, y1 = chain[-1]
-            if (x1 - x0) * (y - y0) - (y1 - y0) * (x - x0) > 0:
-                break
-            chain.pop()
-        chain.append(point)
-    return chain
 
 
 def _left_of(side: tuple[Point, Point]) -> float:

@@ -22,6 +22,7 @@ import numpy as np
 from cluttergen_jax.config import StabilityConfig
 from cluttergen_jax.geometry import rotate
 from cluttergen_jax.physics import stability
+from cluttergen_jax.physics.alone import Alone
 from cluttergen_jax.physics.convex_outlines import ConvexOutlines
 from cluttergen_jax.physics.crowds import Crowder, CrowdRequest
 from cluttergen_jax.physics.doors import DoorCloser
@@ -115,6 +116,16 @@ class NativePhysics(HostPhysics):
             self.closer = DoorCloser(self, closed, num_threads)
 
     @cached_property
+    def alone(self) -> Alone:
+        """What is alone on a level top, and how it settles there."""
+        return Alone(self)
+
+    @property
+    def knows_alone(self) -> bool:
+        """Whether that is asked; a door that closes reaches what stands alone."""
+        return self.config.decide_alone and self.closer is None
+
+    @cached_property
     def near_probe(self) -> OverlapProbe:
         """Sees what touches from the side, too, where nothing presses."""
         return OverlapProbe(self.layout, reach=TOUCH_REACH)
@@ -137,17 +148,42 @@ class NativePhysics(HostPhysics):
         result.poses[:] = poses
         is_sound = _is_sound(poses, is_placed)
         result.verdict[is_active & ~is_sound] = Verdict.NON_FINITE
+        is_left = is_active & is_sound
         with self._lock, silent_log():
-            for block in self._blocks(is_active & is_sound):
+            if self.knows_alone:
+                for block in self._blocks(is_left):
+                    is_left[block] = ~self.alone.settle(
+                        poses[block], is_placed[block], focus[block], result, block
+                    )
+            for block in self._blocks(is_left):
                 start = poses[block]
                 if self.config.lower_releases:
                     start = self._lower_releases(start, is_placed[block], focus[block])
-                attempt = _Attempt(self, start, is_placed[block], focus[block])
-                attempt.run()
-                attempt.report(result, block)
-                if self.config.robust_tilt:
-                    attempt.disturb(result, block)
+                self.settle_block(start, is_placed[block], focus[block], result, block)
+            if self.config.robust_tilt:
+                is_stable = result.verdict == int(Verdict.STABLE)
+                for block in self._blocks(is_stable):
+                    result.verdict[block], result.check_steps[block] = disturb(
+                        self.simulations(len(block)),
+                        result.poses[block],
+                        is_placed[block],
+                        focus[block],
+                        self.config,
+                    )
         return result
+
+    def settle_block(
+        self,
+        poses: np.ndarray,
+        is_placed: np.ndarray,
+        focus: np.ndarray,
+        result: Settling,
+        block: np.ndarray,
+    ) -> None:
+        """Simulates attempts for what holds the engine already, and writes their reports into `result`."""
+        attempt = _Attempt(self, poses, is_placed, focus)
+        attempt.run()
+        attempt.report(result, block)
 
     def _lower_releases(
         self, poses: np.ndarray, is_placed: np.ndarray, focus: np.ndarray
@@ -190,12 +226,34 @@ class NativePhysics(HostPhysics):
         is_sound = _is_sound(poses, is_placed)
         result.verdict[is_active & ~is_sound] = Verdict.NON_FINITE
         for block in self._blocks(is_active & is_sound):
-            self._stand_block(poses[block], is_placed[block], result, block, self.config, is_brief)
-        # What one detector lets fall need not be asked of the other.
-        is_left = result.verdict == int(Verdict.STABLE)
-        for block in self._blocks(is_left) if self.config.both_detectors else ():
-            self._stand_otherwise(poses[block], is_placed[block], result, block, is_brief)
+            self._stand_block(
+                poses[block],
+                is_placed[block],
+                is_placed[block],
+                result,
+                block,
+                self.config,
+                is_brief,
+            )
+        if self.config.both_detectors:
+            # What one detector lets fall need not be asked of the other.
+            is_left = result.verdict == int(Verdict.STABLE)
+            is_asked = is_placed & is_left[:, None]
+            if self.knows_alone:
+                is_asked &= ~self.alone.rest(poses, is_asked)
+            for block in self._blocks(is_asked.any(1)):
+                self._stand_otherwise(
+                    poses[block], is_placed[block], is_asked[block], result, block, is_brief
+                )
         return result
+
+    def stands_otherwise(self, poses: np.ndarray, is_placed: np.ndarray) -> np.ndarray:
+        """Which scenes stand with the second detector, bool[n], for what holds the engine already."""
+        result = empty_standing(np, (len(poses),), self.layout.num_objects)
+        for block in self._blocks(np.ones(len(poses), bool)):
+            scenes = (poses[block], is_placed[block], is_placed[block])
+            self._stand_otherwise(*scenes, result, block, is_brief=True)
+        return result.verdict == int(Verdict.STABLE)
 
     def pile_batch(self, *arrays: np.ndarray) -> Piling:
         """`HostPhysics.pile` for N scenes: arrays of a `PileRequest`, and bool[N], which are active."""
@@ -289,13 +347,14 @@ class NativePhysics(HostPhysics):
         self,
         poses: np.ndarray,
         is_placed: np.ndarray,
+        is_awake: np.ndarray,
         result: Standing,
         block: np.ndarray,
         config: StabilityConfig,
         is_brief: bool = False,
     ) -> None:
         sims = self.simulations(len(block))
-        start = sims.release(poses, is_placed, never_sleeps=is_placed)
+        start = sims.release(poses, is_placed, never_sleeps=is_awake)
         running = np.arange(len(block))
         while running.size:
             at = block[running]
@@ -321,11 +380,16 @@ class NativePhysics(HostPhysics):
         self,
         poses: np.ndarray,
         is_placed: np.ndarray,
+        is_asked: np.ndarray,
         result: Standing,
         block: np.ndarray,
         is_brief: bool,
     ) -> None:
-        """The same check with the other detector, of scenes that stand with the first; added to `result`."""
+        """The same check with the other detector, of scenes that stand with the first; added to `result`.
+
+        Args:
+          is_asked: bool[n, K], what is awake; the others sleep until they are touched.
+        """
         sims = self.simulations(len(block))
         other = empty_standing(np, (len(block),), len(is_placed[0]))
         config = replace(
@@ -333,7 +397,7 @@ class NativePhysics(HostPhysics):
         )
         with sims.detected_by("libccd", self.config.file_margin):
             every = np.arange(len(block))
-            self._stand_block(poses, is_placed, other, every, config, is_brief)
+            self._stand_block(poses, is_placed, is_asked, other, every, config, is_brief)
         result.verdict[block] = other.verdict
         result.num_steps[block] += other.num_steps
         result.shift[block] = np.maximum(result.shift[block], other.shift)
@@ -452,16 +516,6 @@ class _Attempt:
         for name in SUMS:
             values = mask_scenes(np, getattr(track, name), self.is_finite)
             getattr(result, name)[block] = values
-
-    def disturb(self, result: Settling, block: np.ndarray) -> None:
-        """Looks which of the block's stable attempts are fragile, and writes that into `result`."""
-        rows = np.flatnonzero(result.verdict[block] == int(Verdict.STABLE))
-        if not rows.size:
-            return
-        at = block[rows]
-        result.verdict[at], result.check_steps[at] = disturb(
-            self.sims, result.poses[at], self.is_placed[rows], self.focus[rows], self.engine.config
-        )
 
     def _look_at_rest(self, final: np.ndarray, result: Settling, block: np.ndarray) -> np.ndarray:
         """Which scenes overlap too much, bool[n]; overlaps and margins are written into `result`."""

@@ -1,7 +1,7 @@
-"""What is refused before a world is compiled: objects that find no place where they are asked for.
+"""How much room there is: what is refused before a world is compiled, and attempts that crowded scenes get.
 
-More than there are or than a region holds, what is too large for its walls or too tall for what hangs over
-it, and what would tip or slide on a slope, however it is turned.
+Refused are more objects than there are or than a region holds, what is too large for its walls or too tall
+for what hangs over it, and what would tip or slide on a slope, however it is turned.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from cluttergen_jax.config import ContactConfig
 from cluttergen_jax.errors import ConfigError, range_text
 from cluttergen_jax.geometry import hull_area
 from cluttergen_jax.physics.margin import support_margin
-from cluttergen_jax.placement.config import MAX_SLOTS, PlacementConfig
+from cluttergen_jax.placement.config import MAX_BUDGET, MAX_SLOTS, PlacementConfig
 
 if TYPE_CHECKING:
     from cluttergen_jax.placement.problem import ProblemConfig
@@ -46,6 +46,12 @@ _NEARLY_EVERY = 1.3
 """Standard deviations of a draw's volume above its mean: nine of ten draws are below."""
 ROOM = 0.003
 """Metres that have to be free above the tallest object under a board."""
+_ROOMY = 1.5
+"""Area of the boxes of all objects over the region's up to which the usual number of attempts is enough."""
+_TWICE_AS_MANY = 0.35
+"""By how much more of it twice as many are needed."""
+_MOST_EACH = 12
+"""Attempts for each object beyond which scenes that fail cost more than those that are gained."""
 # Metres: of a base's points, and of a margin that holds.
 _TOUCHING = 1e-4
 _STANDS = 0.0005
@@ -101,6 +107,34 @@ def crowding(
     rounds, rest = divmod(num_objects, len(areas))
     covered = rounds * sum(areas) + sum(areas[:rest])
     return covered / (area or 4 * float(np.prod(region.half_extents)))
+
+
+def usual_budget(
+    sizes: Sequence[tuple[float, float, float]], config: ProblemConfig, support: SupportAsset
+) -> int | None:
+    """Attempts of a scene in all where some objects are taken away and placed again, and none were named.
+
+    `max_attempts` for each object are enough where objects' boxes, seen from above, cover the region once or
+    so. Beyond that most attempts place again what was taken away: the number grows with how crowded it is, up
+    to `_MOST_EACH` for each object.
+
+    Args:
+      sizes: metres, sides of the boxes of all objects that may be drawn.
+
+    Returns:
+      None for `max_attempts` for each.
+    """
+    placement = config.placement
+    if not sizes or not placement.ruin_after:
+        return None
+    area = area_asked(config, support) or _area_of(config.region or support.region)
+    covered = (
+        placement.num_objects * float(np.prod([each[:2] for each in sizes], axis=1).mean()) / area
+    )
+    if covered <= _ROOMY:
+        return None
+    each = min(placement.max_attempts * 2 ** ((covered - _ROOMY) / _TWICE_AS_MANY), _MOST_EACH)
+    return min(round(max(each, placement.max_attempts) * placement.num_objects), MAX_BUDGET)
 
 
 def area_of(support: SupportAsset) -> float:
