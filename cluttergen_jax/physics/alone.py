@@ -76,12 +76,12 @@ class _Found(NamedTuple):
     """M objects that stand alone over level tops.
 
     Attributes:
-      scene, index, top: i64[M], the scene's row and the numbers of the object and of the top.
+      scene, number, top: i64[M], the scene's row and the numbers of the object and of the top.
       poses: f64[M, 7].
     """
 
     scene: np.ndarray
-    index: np.ndarray
+    number: np.ndarray
     top: np.ndarray
     poses: np.ndarray
 
@@ -171,14 +171,15 @@ class Alone:
           poses: f[n, K, 7]; is_placed: bool[n, K].
         """
         gaps = (-_MOST_MOVED, _MOST_MOVED)
-        found = self._find(poses, is_placed, *np.nonzero(is_placed), _SETTLED, gaps)
+        scene, number = np.nonzero(is_placed)
+        found = self._find(poses, is_placed, scene, number, _SETTLED, gaps)
         is_resting = np.zeros(is_placed.shape, bool)
         if len(found.scene):
             rests = self._rests(found)
             above = found.poses[:, 2] - self._heights[found.top] - rests.poses[:, 2]
             is_like = np.abs(above) <= _AT_REST_SHIFT
             is_like &= _tilt(found.poses[:, 3:], rests.poses[:, 3:]) <= _AT_REST_TILT
-            is_resting[found.scene, found.index] = rests.stands_otherwise & is_like
+            is_resting[found.scene, found.number] = rests.stands_otherwise & is_like
         return is_resting
 
     def _find(
@@ -218,9 +219,9 @@ class Alone:
     def _has_room(self, poses: np.ndarray, is_placed: np.ndarray, found: _Found) -> np.ndarray:
         """Whether nothing that is placed is within reach of them in plan, bool[M]."""
         others = is_placed[found.scene]
-        others[np.arange(len(others)), found.index] = False
+        others[np.arange(len(others)), found.number] = False
         is_own = np.zeros_like(others)
-        is_own[np.arange(len(others)), found.index] = True
+        is_own[np.arange(len(others)), found.number] = True
         has_room = np.ones(len(others), bool)
         has_room[self._near_pairs(poses[found.scene], is_own, others)] = False
         return has_room
@@ -254,7 +255,7 @@ class Alone:
 
     def _rests(self, found: _Found) -> _Rests:
         """How they settle; what is asked for the first time is simulated now."""
-        asked = np.unique(np.stack([found.index, found.top], axis=1), axis=0)
+        asked = np.unique(np.stack([found.number, found.top], axis=1), axis=0)
         new = asked[self._row[asked[:, 0], asked[:, 1]] < 0]
         size = max(self._engine.max_simulations // len(_TRIAL_YAWS), 1)
         for first in range(0, len(new), size):
@@ -267,7 +268,7 @@ class Alone:
                 if self._known is None
                 else jax.tree.map(lambda *each: np.concatenate(each), self._known, learned)
             )
-        rows = self._row[found.index, found.top]
+        rows = self._row[found.number, found.top]
         return jax.tree.map(lambda each: each[rows], self._known)
 
     def _try(self, objects: np.ndarray, tops: np.ndarray) -> _Rests:
@@ -324,7 +325,7 @@ class Alone:
                 into[scene] = each
         ends = _turn(yaw, rests.poses)
         ends[:, :3] += base
-        result.poses[scene, found.index] = ends
+        result.poses[scene, found.number] = ends
         path = settling.trajectory.astype(np.float64)
         path[..., :7] = _turn(yaw[:, None], path[..., :7])
         for part in (slice(7, 10), slice(10, 13)):
@@ -343,7 +344,7 @@ def level_tops(layout: Layout) -> list[LevelTop]:
     geoms = np.flatnonzero(layout.geom_object == layout.num_objects)
     corners = [
         corners_of_geom(model, geom) @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
-        for geom in geoms
+        for geom in geoms.tolist()
     ]
     tops = []
     for place, own in enumerate(corners):

@@ -59,7 +59,7 @@ def corners_of_parts(layout: Layout, index: int) -> list[np.ndarray]:
     """f64[V, 3] of each of an object's geoms: its corners, in the object's frame."""
     model = layout.model
     parts = []
-    for geom in np.flatnonzero(layout.geom_object == index):
+    for geom in np.flatnonzero(layout.geom_object == index).tolist():
         local = corners_of_geom(model, geom)
         parts.append(rotate(np, model.geom_quat[geom], local) + model.geom_pos[geom])
     return parts
