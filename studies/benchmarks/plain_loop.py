@@ -48,7 +48,7 @@ class PlainLoop:
     Attributes:
       methods: of ours.
       cases: of which scenes are made.
-      scenes: of each case that ours makes, whole blocks of 256; the loop makes as many as it can in `seconds`.
+      scenes: of each case that ours makes, in whole blocks; the loop makes as many as it can in `seconds`.
       seconds: CPU-seconds of the loop in each round.
       rounds: in which the two take turns.
       write: put the table into reports/benchmarks.md.
