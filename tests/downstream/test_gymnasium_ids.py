@@ -88,6 +88,7 @@ def test_vectors_of_environments_run_in_processes_of_their_own(bank):
         "cluttergen/Place-v1",
         num_envs=2,
         vectorization_mode="async",
+        vector_kwargs={"context": "spawn"},
         bank=bank,
         physics="learning",
     )
