@@ -151,9 +151,7 @@ class Alone:
         if not len(found.scene):
             return is_decided
         rests = self._rests(found)
-        overlap = self._overlaps(
-            poses, is_placed & (np.arange(is_placed.shape[1]) != focus[:, None]), found
-        )
+        overlap = self._overlaps(poses, is_placed, found)
         config = self._engine.config
         allowed = min(config.max_added_penetration, config.max_penetration)
         is_known = rests.is_known & (overlap <= allowed)
@@ -198,8 +196,7 @@ class Alone:
         """
         own = poses[scene, index].astype(np.float64)
         found = _Found(scene, index, self._tops_under(own, index, gaps), own)
-        is_upright = (np.abs(own[:, 4:6]) <= most_tilted).all(1)
-        found = found.only((found.top >= 0) & is_upright)
+        found = found.only((found.top >= 0) & _is_upright(own, most_tilted))
         return found.only(self._has_room(poses, is_placed, found))
 
     def _tops_under(
@@ -220,38 +217,47 @@ class Alone:
         """Whether nothing that is placed is within reach of them in plan, bool[M]."""
         others = is_placed[found.scene]
         others[np.arange(len(others)), found.number] = False
-        is_own = np.zeros_like(others)
-        is_own[np.arange(len(others)), found.number] = True
+        row, other = np.nonzero(others)
+        is_near = self._are_near(poses, found.scene[row], found.number[row], other)
         has_room = np.ones(len(others), bool)
-        has_room[self._near_pairs(poses[found.scene], is_own, others)] = False
+        has_room[row[is_near]] = False
         return has_room
 
     def _overlaps(self, poses: np.ndarray, is_placed: np.ndarray, found: _Found) -> np.ndarray:
         """The deepest overlap among the others of each scene, f64[M], metres; infinite where untold."""
         others = is_placed[found.scene]
+        others[np.arange(len(others)), found.number] = False
+        row, one, other = np.nonzero(np.triu(others[:, :, None] & others[:, None], 1))
+        is_near = self._are_near(poses, found.scene[row], one, other)
         deepest = np.zeros(len(others))
-        for row in np.unique(self._near_pairs(poses[found.scene], others, others)):
-            depths = self._engine.probe.depths(poses[found.scene[row]], others[row])
-            deepest[row] = np.inf if depths is None else depths.max()
+        for near in np.unique(row[is_near]):
+            depths = self._engine.probe.depths(poses[found.scene[near]], others[near])
+            deepest[near] = np.inf if depths is None else depths.max()
         return deepest
 
-    def _near_pairs(self, poses: np.ndarray, ones: np.ndarray, others: np.ndarray) -> np.ndarray:
-        """Rows of scenes in which one object is within reach, in plan, of another: i64[P], some often.
+    def _are_near(
+        self, poses: np.ndarray, scene: np.ndarray, one: np.ndarray, other: np.ndarray
+    ) -> np.ndarray:
+        """Whether two objects of a scene are within reach of one another in plan, bool[P].
 
         Args:
-          poses: f[M, K, 7]; ones, others: bool[M, K], between which pairs are looked for.
+          poses: f[n, K, 7]; scene, one, other: i64[P], the scene's row and the numbers of both.
         """
-        is_upright = (np.abs(poses[..., 4:6]) <= _SETTLED).all(-1)
-        reach = np.where(is_upright, self._circle, self._sphere)
-        is_asked = ones[:, :, None] & others[:, None] & ~np.eye(ones.shape[1], dtype=bool)
-        row, one, other = np.nonzero(is_asked)
-        away = np.linalg.norm(poses[row, one, :2] - poses[row, other, :2], axis=-1)
-        is_near = away < reach[row, one] + reach[row, other] + ROOM
-        row, one, other = (each[is_near] for each in (row, one, other))
-        first = _in_plan(self._outline[one], poses[row, one])
-        second = _in_plan(self._outline[other], poses[row, other])
-        is_apart = (_widest_gap(first, second) >= ROOM) & is_upright[row, one]
-        return row[~(is_apart & is_upright[row, other])]
+        first = poses[scene, one]
+        second = poses[scene, other]
+        reach = self._reach(first, one) + self._reach(second, other) + ROOM
+        is_near = np.linalg.norm(first[:, :2] - second[:, :2], axis=1) < reach
+        # What is tilted has no outline here, and is near where its sphere is.
+        at = np.flatnonzero(is_near & _is_upright(first, _SETTLED) & _is_upright(second, _SETTLED))
+        outlines = _in_plan(self._outline[one[at]], first[at])
+        others = _in_plan(self._outline[other[at]], second[at])
+        is_near[at] = _widest_gap(outlines, others) < ROOM
+        return is_near
+
+    def _reach(self, poses: np.ndarray, number: np.ndarray) -> np.ndarray:
+        """How far each object reaches in plan from where it is, at most: f64[P], metres."""
+        is_upright = _is_upright(poses, _SETTLED)
+        return np.where(is_upright, self._circle[number], self._sphere[number])
 
     def _rests(self, found: _Found) -> _Rests:
         """How they settle; what is asked for the first time is simulated now."""
@@ -410,6 +416,11 @@ def _below(parts: list[np.ndarray], height: float) -> np.ndarray:
         cut = low[:, None] + share * (high - low[:, None])
         found.extend([low, cut.reshape(-1, 3)])
     return np.concatenate(found)
+
+
+def _is_upright(poses: np.ndarray, most: float) -> np.ndarray:
+    """bool[P]: whether parts x and y of the quaternions of f[P, 7] are so small."""
+    return (np.abs(poses[:, 4:6]) <= most).all(1)
 
 
 def _about_z(yaw: np.ndarray) -> np.ndarray:

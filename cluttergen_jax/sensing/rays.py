@@ -121,7 +121,7 @@ def cast_rays(
       f32[H, W], metres along the optical axis, inf where nothing is; i32[H, W], the geom, -1 for none.
     """
     rays = _Rays.of(camera)
-    depth, geom = rays.seen(*rays.meet(model, data, groups))
+    depth, geom = rays.to_image(*rays.meet(model, data, groups))
     shape = (camera.height, camera.width)
     return depth.reshape(shape), geom.reshape(shape)
 
@@ -181,7 +181,7 @@ class _Rays:
         """bool[N]: where something is met that is not too far away, of what `meet` tells."""
         return (geom >= 0) & (distance / self.lengths[which] <= FARTHEST)
 
-    def seen(self, distance: np.ndarray, geom: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def to_image(self, distance: np.ndarray, geom: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """f32[R], i32[R]: depth and geom as `cast_rays` has them, of what all rays meet."""
         is_hit = self.is_within(distance, geom)
         depth = np.where(is_hit, distance / self.lengths, np.inf).astype(np.float32)
@@ -342,7 +342,7 @@ class InstanceSensor:
                 distance[which[is_nearest]] = own[is_nearest]
                 geom[which[is_nearest]] = own_geom[is_nearest]
             masks.append(mask)
-        depth, geom = (each.reshape(shape) for each in rays.seen(distance, geom))
+        depth, geom = (each.reshape(shape) for each in rays.to_image(distance, geom))
         label = np.where(geom >= 0, self._label[geom], FLOOR).astype(np.int32)
         return DepthImage(depth, geom, label), masks
 
