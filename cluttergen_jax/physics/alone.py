@@ -243,21 +243,17 @@ class Alone:
         Args:
           poses: f[n, K, 7]; scene, one, other: i64[P], the scene's row and the numbers of both.
         """
-        first = poses[scene, one]
-        second = poses[scene, other]
-        reach = self._reach(first, one) + self._reach(second, other) + ROOM
-        is_near = np.linalg.norm(first[:, :2] - second[:, :2], axis=1) < reach
-        # What is tilted has no outline here, and is near where its sphere is.
-        at = np.flatnonzero(is_near & _is_upright(first, _SETTLED) & _is_upright(second, _SETTLED))
-        outlines = _in_plan(self._outline[one[at]], first[at])
-        others = _in_plan(self._outline[other[at]], second[at])
-        is_near[at] = _widest_gap(outlines, others) < ROOM
-        return is_near
-
-    def _reach(self, poses: np.ndarray, number: np.ndarray) -> np.ndarray:
-        """How far each object reaches in plan from where it is, at most: f64[P], metres."""
         is_upright = _is_upright(poses, _SETTLED)
-        return np.where(is_upright, self._circle[number], self._sphere[number])
+        # What is tilted has no outline here, and is near where its sphere is.
+        reach = np.where(is_upright, self._circle, self._sphere)
+        apart = np.linalg.norm(poses[scene, one, :2] - poses[scene, other, :2], axis=1)
+        is_near = apart < reach[scene, one] + reach[scene, other] + ROOM
+        near = np.flatnonzero(is_near)
+        near = near[is_upright[scene[near], one[near]] & is_upright[scene[near], other[near]]]
+        first = _in_plan(self._outline[one[near]], poses[scene[near], one[near]])
+        second = _in_plan(self._outline[other[near]], poses[scene[near], other[near]])
+        is_near[near] = _widest_gap(first, second) < ROOM
+        return is_near
 
     def _rests(self, found: _Found) -> _Rests:
         """How they settle; what is asked for the first time is simulated now."""
@@ -419,8 +415,8 @@ def _below(parts: list[np.ndarray], height: float) -> np.ndarray:
 
 
 def _is_upright(poses: np.ndarray, most: float) -> np.ndarray:
-    """bool[P]: whether parts x and y of the quaternions of f[P, 7] are so small."""
-    return (np.abs(poses[:, 4:6]) <= most).all(1)
+    """bool[...]: whether parts x and y of the quaternions of f[..., 7] are so small."""
+    return (np.abs(poses[..., 4:6]) <= most).all(-1)
 
 
 def _about_z(yaw: np.ndarray) -> np.ndarray:

@@ -239,8 +239,8 @@ class NativePhysics(HostPhysics):
             # What one detector lets fall need not be asked of the other.
             is_left = result.verdict == int(Verdict.STABLE)
             is_asked = is_placed & is_left[:, None]
-            if self.knows_alone:
-                is_asked &= ~self.alone.rest(poses, is_asked)
+            for block in self._blocks(is_left) if self.knows_alone else ():
+                is_asked[block] &= ~self.alone.rest(poses[block], is_placed[block])
             for block in self._blocks(is_asked.any(1)):
                 self._stand_otherwise(
                     poses[block], is_placed[block], is_asked[block], result, block, is_brief
