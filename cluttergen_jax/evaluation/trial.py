@@ -190,6 +190,9 @@ class Trial:
         }
         if spec.relations and spec.relations_prefer:
             given["relations_prefer"] = True
+        if spec.setting != "paper":
+            # Rows of before are of scenes of which every attempt was simulated.
+            given["decide_alone"] = True
         if spec.keep_out:
             given["keep_out"] = [_plain_box(box) for box in spec.keep_out]
         return usual | given
@@ -298,6 +301,7 @@ def trial_of(row: Mapping[str, Any]) -> Trial:
     )
     asked["max_attempts"] = asked.pop("attempts", SceneSpec.max_attempts)
     asked["setting"] = "default" if asked.pop("both_detectors", False) else "paper"
+    asked.pop("decide_alone", None)
     # Rows of relations of earlier versions preferred nothing.
     asked.setdefault("relations_prefer", not asked.get("relations"))
     asked["clutter"] = asked.get("clutter") or None
