@@ -103,8 +103,8 @@ def make_object(shape: Shape, config: BodyConfig | None = None) -> ObjectAsset:
 
     The author's own parts are taken if they are sound: nowhere farther than 5 % of the diagonal from the
     mesh, any cavity open, and upright by themselves. Else parts that follow from its shape (`exact_parts`),
-    else CoACD's, and if those are not sound, a finer decomposition's; the best of them is kept and its faults
-    are flagged.
+    else CoACD's, halved where they are far from the mesh; the best of them is kept and its
+    faults are flagged.
 
     Raises:
       AssetError: nothing with a volume can be made of the surfaces.
@@ -241,8 +241,6 @@ def _proposals(shape: Shape, solid: Solid, config: BodyConfig) -> Iterator[list[
         if shape.keeps_parts:
             return
     yield from decompositions(solid, config.decomposition, config.jitter)
-    if config.decomposition.max_parts > 1:
-        yield from decompositions(solid, config.decomposition.finer, config.jitter)
 
 
 def _candidate(

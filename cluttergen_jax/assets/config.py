@@ -36,8 +36,8 @@ class DecompositionConfig:
     """CoACD's parameters, and when it is not needed.
 
     The default searches far less than CoACD's own (threshold 0.05, nodes 20, iterations 150, depth 3,
-    resolution 2,000), and its many parts are merged: on scanned mugs and cans that leaves fewer parts than a
-    long search, and takes a fraction of its time. What it serves badly is done again with `finer`.
+    resolution 2,000). Its parts that are far from the surface are halved, and the many parts merged: on
+    scanned mugs and cans that leaves fewer parts than a long search, and takes a fraction of its time.
 
     Attributes:
       threshold: CoACD's concavity at which a part is convex enough.
@@ -49,6 +49,7 @@ class DecompositionConfig:
       seed: of CoACD's sampling.
       tries: other searches, as short, for what needs few parts and got too many or bad ones.
       simplify: how far the mesh may move to have fewer triangles, over its diagonal.
+      is_near: more parts are kept for a body that is nearer to the surface.
       exact: parts are looked for that fill the solid without gaps (`exact_parts`) before CoACD is asked.
       one_hull_volume: a solid that fills this share of its hull ...
       one_hull_deviation: ... and is nowhere farther from it than this, over the diagonal, gets one hull.
@@ -63,6 +64,7 @@ class DecompositionConfig:
     seed: int = 0
     tries: int = 3
     simplify: float = 0.004
+    is_near: bool = False
     exact: bool = True
     one_hull_volume: float = 0.8
     one_hull_deviation: float = 0.03
@@ -77,7 +79,7 @@ class DecompositionConfig:
 
     @property
     def finer(self) -> DecompositionConfig:
-        """A slower search with a lower threshold, for objects that the first one served badly."""
+        """A longer search with a lower threshold, and more parts, for a body nearer to the surface."""
         return replace(
             self,
             threshold=max(0.01, self.threshold / 2),
@@ -85,10 +87,7 @@ class DecompositionConfig:
             nodes=self.nodes + 1,
             iterations=2 * self.iterations,
             depth=self.depth + 1,
-            tries=0,
-            exact=False,
-            seed=self.seed + 2,
             simplify=self.simplify / 2,
-            one_hull_volume=1.0,
+            is_near=True,
             one_hull_deviation=self.one_hull_deviation / 2,
         )

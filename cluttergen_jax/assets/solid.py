@@ -83,7 +83,7 @@ def solid_of(meshes: Sequence[Mesh]) -> Solid:
             "a surface that lies in a plane or on a line", "a mesh of an object with some thickness"
         )
     shells = _closed_shells(meshes) if len(meshes) <= _MAX_PIECES else []
-    united = _as_mesh(_union(shells)) if shells else surface
+    united = as_mesh(_union(shells)) if shells else surface
     is_exact = bool(shells) and _covers(united, surface)
     if not is_exact:
         say_phase(f"closing its open surface of {len(surface.faces):,} triangles on a grid")
@@ -93,7 +93,7 @@ def solid_of(meshes: Sequence[Mesh]) -> Solid:
             "a surface that encloses nothing", "a mesh of an object with some thickness"
         )
     is_plain = is_exact and sum(each.num_tri() for each in shells) <= _MOST_PLAIN
-    solid = Solid(mesh, is_exact, surface, tuple(map(_as_mesh, shells)) if is_plain else ())
+    solid = Solid(mesh, is_exact, surface, tuple(map(as_mesh, shells)) if is_plain else ())
     if len(mesh.faces) <= _MAX_FACES:
         return solid
     return replace(solid, mesh=simplify_solid(mesh, _HAIR * solid.diagonal))
@@ -127,7 +127,7 @@ def is_convex(mesh: Mesh) -> bool:
 
 def simplify_solid(mesh: Mesh, tolerance: float) -> Mesh:
     """The closed mesh with fewer triangles, nowhere moved by more than `tolerance` metres."""
-    return _as_mesh(as_manifold(mesh).simplify(tolerance))
+    return as_mesh(as_manifold(mesh).simplify(tolerance))
 
 
 def as_manifold(mesh: Mesh) -> manifold3d.Manifold:
@@ -143,7 +143,7 @@ def _solid_pieces(manifold: manifold3d.Manifold) -> list[manifold3d.Manifold]:
     return [each for each in manifold.decompose() if each.volume() > 0]
 
 
-def _as_mesh(manifold: manifold3d.Manifold) -> Mesh:
+def as_mesh(manifold: manifold3d.Manifold) -> Mesh:
     raw = manifold.to_mesh64()
     return Mesh(raw.vert_properties[:, :3], raw.tri_verts)
 
@@ -221,7 +221,7 @@ def _rebuild(surface: Mesh) -> Mesh:
     shells = _solid_pieces(manifold)
     if not shells:
         return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
-    mesh = _as_mesh(_union(shells).simplify(0.1 * voxels.pitch))
+    mesh = as_mesh(_union(shells).simplify(0.1 * voxels.pitch))
     reach, nearest = tree.query(mesh.vertices)
     share = np.clip(1 - 0.25 * voxels.pitch / np.maximum(reach, 1e-12), 0, 1)
     return Mesh(mesh.vertices + (tree.data[nearest] - mesh.vertices) * share[:, None], mesh.faces)
