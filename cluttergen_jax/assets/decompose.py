@@ -419,9 +419,8 @@ _REACHES = (0.025, 0.012)
 """Parts farther from the surface, over the diagonal, are halved: before they are merged, and once more where
 nothing sound comes of that."""
 _MOST_HALVED = 128
-_THIN = 0.4
-"""Of its hull's volume: what fills less is cut at a higher threshold, and halved the more: it costs less."""
-_THIN_THRESHOLD = 1.7
+_OPEN_THRESHOLD = 1.7
+"""Times the threshold: what is no can or bottle is cut into fewer parts, which costs less, and halved more."""
 
 
 def decompose(solid: Solid, config: DecompositionConfig) -> list[np.ndarray]:
@@ -455,11 +454,11 @@ def decompositions(
     ):
         yield one
         return
-    if solid.volume < _THIN * hull.volume:
-        config = replace(config, threshold=min(_THIN_THRESHOLD * config.threshold, 1.0))
     most = config.max_parts
     nearness = Nearness(solid)
     enough = nearness.enough
+    if enough > FEW:
+        config = replace(config, threshold=min(_OPEN_THRESHOLD * config.threshold, 1.0))
     exact = exact_parts(solid, _MOST_RAW) if config.exact else None
     if exact is not None and exact.parts:
         of_rest = [

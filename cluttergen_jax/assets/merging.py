@@ -7,7 +7,8 @@ measured again (`deviation`). Every number here is a bound on work, so that no s
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from itertools import combinations, count
 
 import manifold3d
@@ -32,6 +33,7 @@ _NEIGHBOURS = 0.03
 _NUM_BURIED = 2000
 _NUM_DENSE = 40_000
 _NUM_ON_HULL = 250
+_NUM_BETWEEN = 6
 _NUM_IN_CAVITY = 4000
 _CAVITY_WEIGHT = 2.0
 _CELLS = 100
@@ -79,6 +81,23 @@ class Nearness:
         spots = spots[self._voxels.outside[self._voxels.index(spots)]]
         away = self._tree.query(spots)[0] if len(spots) else np.zeros(0)
         return max(buried, float(away.max(initial=0.0)) / self.diagonal)
+
+    def bounds(self, one: np.ndarray, others: Sequence[np.ndarray]) -> np.ndarray:
+        """f64[N]: how far the hull of a part with each of others is at least, from points between them."""
+        if not others:
+            return np.zeros(0)
+        points = np.stack([_between(one, other) for other in others])
+        flat = points.reshape(-1, 3)
+        is_outside = self._voxels.outside[self._voxels.index(flat)]
+        away = np.zeros(len(flat))
+        away[is_outside] = self._tree.query(flat[is_outside])[0]
+        return away.reshape(len(others), -1).max(1) / self.diagonal
+
+
+def _between(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """f64[M, 3]: middles between some of the points of one and some of another."""
+    some = [each[np.linspace(0, len(each) - 1, _NUM_BETWEEN).astype(int)] for each in (one, other)]
+    return ((some[0][:, None] + some[1][None]) / 2).reshape(-1, 3)
 
 
 def _depths(points: np.ndarray, hull: ConvexHull) -> np.ndarray:
@@ -155,51 +174,92 @@ def merge_parts(
       free: f64[N, 3]: none of these points gets into a part, unless there are more than `most`.
     """
     say_phase(f"joining its convex parts ({len(parts)})")
-    kept = dict(enumerate(parts))
-    unions: dict[tuple[int, int], tuple[float, np.ndarray]] = {}
-    pairs: Iterable[tuple[int, int]] = combinations(kept, 2)
+    pairs = _Pairs(nearness, max(limits), free)
+    for part in parts:
+        pairs.add(part)
     done: dict[float, list[np.ndarray]] = {}
-    for fresh in range(len(parts), 2 * len(parts)):
-        near = [pair for pair in pairs if _gap(kept, pair) < _NEIGHBOURS * nearness.diagonal]
-        if not near and not unions and len(kept) > most:
-            near = list(combinations(kept, 2))
-        unions |= {
-            (one, other): _union(kept[one], kept[other], nearness, max(limits), free)
-            for one, other in near
-        }
-        if not unions:
+    while len(done) < len(set(limits)):
+        best = pairs.nearest(is_forced=len(pairs.parts) > most)
+        if best is None:
             break
-        best = min(unions, key=lambda pair: unions[pair][0])
-        cost, points = unions[best]
-        if len(kept) <= most:
-            over = [
-                limit
-                for limit in limits
-                if cost > (limit if len(kept) > enough else min(limit, ALWAYS))
-            ]
-            done |= {limit: list(kept.values()) for limit in over if limit not in done}
-            if len(done) == len(set(limits)):
-                break
-        kept = {index: part for index, part in kept.items() if index not in best}
-        unions = {pair: union for pair, union in unions.items() if not set(pair) & set(best)}
-        pairs = [(index, fresh) for index in kept]
-        kept[fresh] = points
-    return [done.get(limit, list(kept.values())) for limit in limits]
+        number = len(pairs.parts)
+        if number <= most:
+            for limit in limits:
+                if best.distance > (limit if number > enough else min(limit, ALWAYS)):
+                    done.setdefault(limit, list(pairs.parts.values()))
+        pairs.join(best)
+    return [done.get(limit, list(pairs.parts.values())) for limit in limits]
 
 
-def _gap(parts: dict[int, np.ndarray], pair: tuple[int, int]) -> float:
+@dataclass(frozen=True, order=True)
+class _Pair:
+    """Two parts, and how far their hull is, over the diagonal; at least so far where there is no hull yet."""
+
+    distance: float
+    one: int
+    other: int
+    hull: np.ndarray | None = field(default=None, compare=False)  # f64[V, 3], its corners.
+
+
+class _Pairs:
+    """Parts by number and, nearest first, the pairs of neighbours among them, measured when they come up.
+
+    Attributes:
+      parts: f64[V, 3] each, convex.
+    """
+
+    def __init__(self, nearness: Nearness, limit: float, free: np.ndarray) -> None:
+        self.parts: dict[int, np.ndarray] = {}
+        self._nearness = nearness
+        self._limit = limit
+        self._free = free
+        self._heap: list[_Pair] = []
+        self._number = count()
+
+    def add(self, part: np.ndarray) -> None:
+        """One more part, and its pairs with those that are near."""
+        reach = _NEIGHBOURS * self._nearness.diagonal
+        fresh = next(self._number)
+        near = [number for number, other in self.parts.items() if _gap(part, other) < reach]
+        bounds = self._nearness.bounds(part, [self.parts[number] for number in near])
+        for number, bound in zip(near, bounds, strict=True):
+            heapq.heappush(self._heap, _Pair(float(bound), number, fresh))
+        self.parts[fresh] = part
+
+    def nearest(self, *, is_forced: bool) -> _Pair | None:
+        """The pair whose hull is nearest; None where no two are neighbours, unless it `is_forced`."""
+        while self._heap:
+            pair = heapq.heappop(self._heap)
+            if pair.one not in self.parts or pair.other not in self.parts:
+                continue
+            if pair.hull is not None:
+                return pair
+            heapq.heappush(self._heap, self._measured(pair))
+        if is_forced and len(self.parts) > 1:
+            self._heap = [self._measured(_Pair(0.0, *both)) for both in combinations(self.parts, 2)]
+            heapq.heapify(self._heap)
+            return heapq.heappop(self._heap)
+        return None
+
+    def join(self, pair: _Pair) -> None:
+        """The hull of a pair in place of both."""
+        del self.parts[pair.one]
+        del self.parts[pair.other]
+        assert pair.hull is not None
+        self.add(pair.hull)
+
+    def _measured(self, pair: _Pair) -> _Pair:
+        points = np.concatenate([self.parts[pair.one], self.parts[pair.other]])
+        hull = hull_of(points)
+        if hull is None:
+            return replace(pair, distance=np.inf, hull=points)
+        corners = points[hull.vertices]
+        if (_depths(self._free, hull) > 0).any():
+            return replace(pair, distance=np.inf, hull=corners)
+        distance = self._nearness.distance(hull, self._limit)
+        return replace(pair, distance=max(pair.distance, distance), hull=corners)
+
+
+def _gap(one: np.ndarray, other: np.ndarray) -> float:
     """Metres between the boxes around two parts; below zero where they overlap."""
-    one, other = (parts[index] for index in pair)
     return float(np.maximum(one.min(0) - other.max(0), other.min(0) - one.max(0)).max())
-
-
-def _union(
-    one: np.ndarray, other: np.ndarray, nearness: Nearness, limit: float, free: np.ndarray
-) -> tuple[float, np.ndarray]:
-    """How far the hull of two parts is, over the diagonal, and its vertices f64[V, 3]."""
-    points = np.concatenate([one, other])
-    hull = hull_of(points)
-    if hull is None:
-        return np.inf, points
-    is_open = not (_depths(free, hull) > 0).any()
-    return nearness.distance(hull, limit) if is_open else np.inf, points[hull.vertices]
