@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -143,12 +143,14 @@ def object_variants(shape: Shape, config: BodyConfig | None = None) -> Iterator[
             mass = mass.transform(rotation)
     best: _Candidate | None = None
     first: _Candidate | None = None
-    for raw in _proposals(shape, solid, config):
-        candidate = _candidate(raw, shape, solid, mass, config)
-        first = first or candidate
-        if best is None or candidate.rank > best.rank:
-            best = candidate
-        if best.is_sound:
+    for family in _proposals(shape, solid, config):
+        for candidate in _candidates(
+            family, lambda raw: _candidate(raw, shape, solid, mass, config)
+        ):
+            first = first or candidate
+            if best is None or candidate.rank > best.rank:
+                best = candidate
+        if best is not None and best.is_sound:
             break
     if best is None or first is None:
         raise AssetError(f"{shape.label!r} has no convex part")
@@ -230,14 +232,34 @@ def _stays(solid: Solid, mass: MassProperties, turn: np.ndarray) -> bool:
     return tilt_of(_settling_turn(hull, mass.transform(turn))) <= MAX_TILT
 
 
-def _proposals(shape: Shape, solid: Solid, config: BodyConfig) -> Iterator[list[np.ndarray]]:
-    """Sets of raw parts in the authored frame, the cheapest first."""
+def _candidates(
+    family: list[list[np.ndarray]], judge: Callable[[list[np.ndarray]], _Candidate]
+) -> Iterator[_Candidate]:
+    """The first of a family that is sound, after those that were looked at before.
+
+    Each look costs as much as a short cut, and where the nearest set is not sound, those between hardly are.
+    """
+    first = judge(family[0])
+    yield first
+    if first.is_sound or len(family) == 1:
+        return
+    last = judge(family[-1])
+    for raw in family[1:-1] if last.is_sound else ():
+        between = judge(raw)
+        yield between
+        if between.is_sound:
+            return
+    yield last
+
+
+def _proposals(shape: Shape, solid: Solid, config: BodyConfig) -> Iterator[list[list[np.ndarray]]]:
+    """Families of sets of raw parts in the authored frame, the cheapest first."""
     if config.tier == "light":
-        yield decompose(solid, replace(config.decomposition, max_parts=1))
+        yield [decompose(solid, replace(config.decomposition, max_parts=1))]
         return
     own = [part.vertices for part in shape.parts or () if hull_of(part.vertices) is not None]
     if own:
-        yield own
+        yield [own]
         if shape.keeps_parts:
             return
     yield from decompositions(solid, config.decomposition, config.jitter)

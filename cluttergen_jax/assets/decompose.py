@@ -420,20 +420,21 @@ _REACHES = (0.025, 0.012)
 nothing sound comes of that."""
 _MOST_HALVED = 128
 _OPEN_THRESHOLD = 1.7
-"""Times the threshold: what is no can or bottle is cut into fewer parts, which costs less, and halved more."""
+"""Times the threshold: what is no can or bottle is cut into fewer parts, which costs less, and halved."""
 
 
 def decompose(solid: Solid, config: DecompositionConfig) -> list[np.ndarray]:
     """The first of `decompositions`."""
-    return next(decompositions(solid, config))
+    return next(decompositions(solid, config))[0]
 
 
 def decompositions(
     solid: Solid, config: DecompositionConfig, jitter: float = 0.0
-) -> Iterator[list[np.ndarray]]:
-    """Sets of convex parts, f64[V, 3] each, in the solid's frame: first the fewest, then nearer ones.
+) -> Iterator[list[list[np.ndarray]]]:
+    """Families of sets of convex parts, f64[V, 3] each, in the solid's frame; made as they are asked for.
 
-    They have as many vertices as CoACD and merging give them.
+    Sets of one family come of one cut: first the fewest parts, then ever more and nearer ones. They have as
+    many vertices as CoACD and merging give them.
 
     Args:
       jitter: share of the diagonal by which each vertex that CoACD sees is moved at most, always in the same
@@ -452,13 +453,13 @@ def decompositions(
     if config.max_parts == 1 or (
         is_full and (solid.is_convex or deviation(one, solid) <= config.one_hull_deviation)
     ):
-        yield one
+        yield [one]
         return
-    most = config.max_parts
     nearness = Nearness(solid)
     enough = nearness.enough
     if enough > FEW:
         config = replace(config, threshold=min(_OPEN_THRESHOLD * config.threshold, 1.0))
+    most = config.max_parts
     exact = exact_parts(solid, _MOST_RAW) if config.exact else None
     if exact is not None and exact.parts:
         of_rest = [
@@ -469,36 +470,39 @@ def decompositions(
         raw = [*exact.parts, *of_rest]
         free = exact.free[~is_within_parts(exact.free, raw)]
         merged = merge_parts(raw, nearness, _EXACT_LIMITS, enough, most, free)
-        sets = [*merged, *([raw] if len(raw) <= most else [])]
-        small = [each for each in _distinct(sets) if len(each) <= enough]
+        sets = _distinct([*merged, *([raw] if len(raw) <= most else [])])
+        small = [each for each in sets if len(each) <= enough]
         # More than enough only for the sake of holes, into which a peg may have to go.
         is_pierced = not small and len(free) > 0 and find_hollow(solid) is None
-        yield from _distinct(sets) if is_pierced else small
+        if is_pierced or small:
+            yield sets if is_pierced else small
     limits = _NEAR_LIMITS if config.is_near else _LIMITS
     cut = _Cut(solid.mesh, solid, config, jitter)
     parts = cut.halved(nearness, _REACHES[0])
-    sets = merge_parts(parts, nearness, limits, enough, most)
-    first = sets[0] or one
-    is_few = len(sets[0]) <= enough
-    if is_few:
-        yield first
+    sets = _distinct(merge_parts(parts, nearness, limits, enough, most)) or [one]
+    few = [each for each in sets if len(each) <= enough]
+    if few:
+        yield few
     # Which cuts leave few parts of a can is a matter of luck.
-    for other in _others(config) if enough == FEW and len(first) <= 2 * FEW else ():
+    for other in _others(config) if enough == FEW and len(sets[0]) <= 2 * FEW else ():
         found = _Cut(solid.mesh, solid, other, jitter).halved(nearness, _REACHES[0])
-        (few,) = merge_parts(found, nearness, limits[:1], enough, most)
-        if 0 < len(few) <= enough:
-            yield few
-    yield from list(_distinct(sets))[1 if is_few else 0 :]
+        (merged_few,) = merge_parts(found, nearness, limits[:1], enough, most)
+        if 0 < len(merged_few) <= enough:
+            yield [merged_few]
+    if len(few) < len(sets):
+        yield sets[len(few) :]
     if len(parts) < _MOST_HALVED:
-        nearer = merge_parts(cut.halved(nearness, _REACHES[1]), nearness, limits, enough, most)
-        yield from _distinct(nearer)
+        parts = cut.halved(nearness, _REACHES[1])
+        yield _distinct(merge_parts(parts, nearness, limits, enough, most))
 
 
-def _distinct(sets: Sequence[list[np.ndarray]]) -> Iterator[list[np.ndarray]]:
-    """Sets, the fewest parts first, without those that are the same again."""
-    for index, parts in enumerate(sets):
-        if index == 0 or len(parts) > len(sets[index - 1]):
-            yield parts
+def _distinct(sets: Sequence[list[np.ndarray]]) -> list[list[np.ndarray]]:
+    """Sets, the fewest parts first, without empty ones and those that are the same again."""
+    found: list[list[np.ndarray]] = []
+    for parts in sets:
+        if parts and len(parts) > (len(found[-1]) if found else 0):
+            found.append(parts)
+    return found
 
 
 def _others(config: DecompositionConfig) -> list[DecompositionConfig]:

@@ -145,10 +145,29 @@ def piece_gaps(solid: Solid) -> list[float]:
         shell = left.pop(near)
         gaps += [distance[near]] if distance[near] > least else []
         for index, other in left.items():
-            distance[index] = min(
-                distance.get(index, np.inf), shell.min_gap(other, 2 * solid.diagonal)
-            )
+            known = distance.get(index, 2 * solid.diagonal)
+            if known > least and _box_gap(shell, other) < known:
+                distance[index] = _min_gap(shell, other, least, known)
     return gaps
+
+
+def _min_gap(
+    one: manifold3d.Manifold, other: manifold3d.Manifold, least: float, most: float
+) -> float:
+    """Metres between two solids, or `most` if that is less; looked for nearby first, which costs far less."""
+    reach = least
+    gap = one.min_gap(other, reach)
+    while gap >= reach and reach < most:
+        reach = min(4 * reach, most)
+        gap = one.min_gap(other, reach)
+    return float(min(gap, most))
+
+
+def _box_gap(one: manifold3d.Manifold, other: manifold3d.Manifold) -> float:
+    """Metres between the boxes around two solids, along the axis along which they are farthest apart."""
+    low, high = np.array(one.bounding_box()).reshape(2, 3)
+    other_low, other_high = np.array(other.bounding_box()).reshape(2, 3)
+    return float(np.maximum(low - other_high, other_low - high).max())
 
 
 def _size(shell: manifold3d.Manifold) -> float:
