@@ -76,6 +76,8 @@ Suite = Literal["paper", "extended", "downstream"]
 Axis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
 Up = Literal["auto", "file", "x", "y", "z", "-x", "-y", "-z"]
 Tier = Literal["standard", "light"]
+Quality = Literal["standard", "fine"]
+"""Of convex parts: as few as describe an object well, or more for a closer fit."""
 ByVolume = Literal["volume"]
 """Of a mass: volume times density, whatever a file states."""
 Collision = Literal["auto", "keep"]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import get_args
 
+from cluttergen_jax.config import Quality
 from cluttergen_jax.errors import ConfigError
 
 MAX_TEXTURE = 1024
@@ -49,7 +51,8 @@ class DecompositionConfig:
       seed: of CoACD's sampling.
       tries: other searches, as short, for what needs few parts and got too many or bad ones.
       simplify: how far the mesh may move to have fewer triangles, over its diagonal.
-      is_near: more parts are kept for a body that is nearer to the surface.
+      quality: "standard", or "fine" for a longer search with half the threshold and more parts, which are
+        nearer to the surface.
       exact: parts are looked for that fill the solid without gaps (`exact_parts`) before CoACD is asked.
       one_hull_volume: a solid that fills this share of its hull ...
       one_hull_deviation: ... and is nowhere farther from it than this, over the diagonal, gets one hull.
@@ -64,7 +67,7 @@ class DecompositionConfig:
     seed: int = 0
     tries: int = 3
     simplify: float = 0.004
-    is_near: bool = False
+    quality: Quality = "standard"
     exact: bool = True
     one_hull_volume: float = 0.8
     one_hull_deviation: float = 0.03
@@ -72,14 +75,18 @@ class DecompositionConfig:
     def __post_init__(self) -> None:
         if not 0.01 <= self.threshold <= 1:
             raise ConfigError(f"threshold = {self.threshold}", "CoACD's range, 0.01 to 1")
+        if self.quality not in get_args(Quality):
+            raise ConfigError(f"quality {self.quality!r}", "standard or fine")
         if self.tries < 0:
             raise ConfigError(f"tries = {self.tries}", "0 or more")
         if not 1 <= self.max_parts <= 32:
             raise ConfigError(f"max_parts = {self.max_parts}", "1 to 32")
 
     @property
-    def finer(self) -> DecompositionConfig:
-        """A longer search with a lower threshold, and more parts, for a body nearer to the surface."""
+    def search(self) -> DecompositionConfig:
+        """The parameters as they are used: those given, or for fine parts a longer search than that."""
+        if self.quality == "standard":
+            return self
         return replace(
             self,
             threshold=max(0.01, self.threshold / 2),
@@ -88,6 +95,5 @@ class DecompositionConfig:
             iterations=2 * self.iterations,
             depth=self.depth + 1,
             simplify=self.simplify / 2,
-            is_near=True,
             one_hull_deviation=self.one_hull_deviation / 2,
         )

@@ -411,8 +411,8 @@ _MOST_RAW = 96
 _LIMITS = (0.055, 0.05, 0.045, 0.03, ALWAYS, 0.012)
 """How far from the surface, over the diagonal, merged parts may be, in the order in which it is tried. The
 distance is an estimate: what is made of it is measured again."""
-_NEAR_LIMITS = (0.03, ALWAYS, 0.012)
-"""The same where a nearer body is asked for."""
+_FINE_LIMITS = (0.03, ALWAYS, 0.012)
+"""The same of fine parts."""
 _EXACT_LIMITS = (0.03, ALWAYS)
 """The same of parts that are near as they are."""
 _REACHES = (0.025, 0.012)
@@ -443,6 +443,7 @@ def decompositions(
     Raises:
       AssetError: neither CoACD nor Qhull can make anything of the mesh.
     """
+    config = config.search
     hull = hull_of(solid.mesh.vertices)
     if hull is None:
         raise AssetError(
@@ -476,7 +477,7 @@ def decompositions(
         is_pierced = not small and len(free) > 0 and find_hollow(solid) is None
         if is_pierced or small:
             yield sets if is_pierced else small
-    limits = _NEAR_LIMITS if config.is_near else _LIMITS
+    limits = _FINE_LIMITS if config.quality == "fine" else _LIMITS
     cut = _Cut(solid.mesh, solid, config, jitter)
     parts = cut.halved(nearness, _REACHES[0])
     sets = _distinct(merge_parts(parts, nearness, limits, enough, most)) or [one]

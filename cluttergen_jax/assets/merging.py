@@ -174,7 +174,7 @@ def merge_parts(
       free: f64[N, 3]: none of these points gets into a part, unless there are more than `most`.
     """
     say_phase(f"joining its convex parts ({len(parts)})")
-    pairs = _Pairs(nearness, max(limits), free)
+    pairs = Pairs(nearness, max(limits), free)
     for part in parts:
         pairs.add(part)
     done: dict[float, list[np.ndarray]] = {}
@@ -201,7 +201,7 @@ class _Pair:
     hull: np.ndarray | None = field(default=None, compare=False)  # f64[V, 3], its corners.
 
 
-class _Pairs:
+class Pairs:
     """Parts by number and, nearest first, the pairs of neighbours among them, measured when they come up.
 
     Attributes:

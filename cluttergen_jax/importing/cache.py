@@ -24,7 +24,7 @@ from cluttergen_jax.importing.readers.opening import check_openable
 from cluttergen_jax.importing.readers.pieces import ModelFile, model_file
 from cluttergen_jax.importing.readers.read import public_path
 
-BODY_VERSION = 10
+BODY_VERSION = 11
 """Raised when the code makes another body of the same files, or of the modeller's same shapes: geometry,
 masses, checks, colours or the files that hold them. Every cached body is then made again.
 `test_bodies_are_those_of_this_version` fails where that was forgotten."""

@@ -461,6 +461,8 @@ def _make(
                 f"importing {len(jobs)} objects, {at_once}; most take some seconds, open or rough scans a "
                 f"minute or more, and each {config.time_limit:g} CPU-seconds at most"
             )
+            if config.object.body.decomposition.quality == "fine":
+                progress.say("fine parts of curved or hollow objects take several times as long")
         at_work = None if progress is None else _AtWork(progress, jobs)
         try:
             with closing(_outcomes(jobs, config, at_work)) as outcomes:

@@ -15,7 +15,7 @@ from cluttergen_jax.importing.solo_stability import measured_object
 # cup's parts are CoACD's, which is not the same on all of them): look at the difference, and put the new
 # figures here, or widen the tolerance; the version stays.
 FIGURES = {
-    10: {
+    11: {
         "crate.obj": """
             1 8 160 80 0 0 0 27.3333 53.3333 59.3333 40 25 20 0.5207 -0.2296 -0.2418 26.9596 20.1549
             17.2799 12 0.7 0.7 0.7 1 6 20 1 28.38
