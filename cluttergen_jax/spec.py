@@ -259,7 +259,7 @@ class SceneSpec(PlacementRequest):
         them, are removed and placed again; 0 removes nothing. If not given: the method's own, 0 for most.
       budget: attempts of a scene in all; `max_attempts` for each object if not given, with "packed" and
         where doors are closed unasked twice as many, and up to 12 for each where it is crowded
-        (`placement.room.usual_budget`).
+        (`placement.room.with_crowding`).
       min_margin: minimum horizontal distance (m) from an object's centre of mass to the edge of its support;
         0 asks for nothing. If not given: 0.003.
       robust: require that an object, and whatever it touches, is also stable while gravity is tilted by 5
@@ -661,7 +661,12 @@ class SceneSpec(PlacementRequest):
         from cluttergen_jax.assets.support_file import find_support
         from cluttergen_jax.physics import engine_of
         from cluttergen_jax.placement.problem import ProblemConfig
-        from cluttergen_jax.placement.room import check_number, check_sets, usual_budget
+        from cluttergen_jax.placement.room import (
+            boxes_over_area,
+            check_number,
+            check_sets,
+            with_crowding,
+        )
 
         if self.seat != DEFAULTS["seat"] and not self.natural:
             given = f"seat = {self.seat!r} of scenes that are not natural"
@@ -760,12 +765,13 @@ class SceneSpec(PlacementRequest):
             ),
             contact=ContactConfig(noslip_iterations=PILE_NOSLIP if is_heap else 0),
         )
-        if placement.budget is not None or self.setting == "paper":
+        if self.setting == "paper":
             return config
         facts = (found or find_pool(pool)).facts
         sizes = [each.size for each in facts if not chosen or each.name in chosen]
-        budget = usual_budget(sizes, config, find_support(self.support).on_surface(self.surface))
-        return replace(config, placement=replace(placement, budget=budget))
+        surface = find_support(self.support).on_surface(self.surface)
+        covered = boxes_over_area(sizes, config, surface)
+        return replace(config, placement=with_crowding(placement, covered))
 
     def _num_weighted(self, facts: Sequence[ObjectFacts], chosen: Sequence[str]) -> int:
         """How many of the chosen objects, all if there are none, may be drawn by their weights."""

@@ -221,9 +221,11 @@ class CandidateSampler(struct.PyTreeNode, eq=False):
 
     @property
     def _num_above(self) -> int:
-        """Candidates over placed objects, where objects are to lie on others."""
+        """Candidates over placed objects, where objects are to lie on others, or have to."""
         asked = self.search.rules.config
         clutter = asked.drawn_clutter
+        if asked.is_crowded:
+            return _MANY_ABOVE
         if clutter is None:
             return 0
         most = max(clutter.stack or 0.0, clutter.depth or 0.0, clutter.contacts or 0.0)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -109,32 +110,34 @@ def crowding(
     return covered / (area or 4 * float(np.prod(region.half_extents)))
 
 
-def usual_budget(
+def boxes_over_area(
     sizes: Sequence[tuple[float, float, float]], config: ProblemConfig, support: SupportAsset
-) -> int | None:
-    """Attempts of a scene in all where some objects are taken away and placed again, and none were named.
-
-    `max_attempts` for each object are enough where objects' boxes, seen from above, cover the region once or
-    so. Beyond that most attempts place again what was taken away: the number grows with how crowded it is, up
-    to `_MOST_EACH` for each object.
+) -> float:
+    """The area of the boxes of a scene's objects, seen from above and in the mean, over the region's.
 
     Args:
       sizes: metres, sides of the boxes of all objects that may be drawn.
-
-    Returns:
-      None for `max_attempts` for each.
     """
-    placement = config.placement
-    if not sizes or not placement.ruin_after:
-        return None
+    if not sizes:
+        return 0.0
     area = area_asked(config, support) or _area_of(config.region or support.region)
-    covered = (
-        placement.num_objects * float(np.prod([each[:2] for each in sizes], axis=1).mean()) / area
-    )
-    if covered <= _ROOMY:
-        return None
+    each = np.prod([size[:2] for size in sizes], axis=1).mean()
+    return config.placement.num_objects * float(each) / area
+
+
+def with_crowding(placement: PlacementConfig, covered: float) -> PlacementConfig:
+    """The rules where objects cover so much (`boxes_over_area`) and some are taken away and placed again.
+
+    `max_attempts` for each object are enough where boxes cover the region once or so. Beyond that most
+    attempts place again what was taken away: the scene is crowded, and the usual number of attempts grows
+    with how much so, up to `_MOST_EACH` for each object.
+    """
+    if covered <= _ROOMY or not placement.ruin_after:
+        return placement
     each = min(placement.max_attempts * 2 ** ((covered - _ROOMY) / _TWICE_AS_MANY), _MOST_EACH)
-    return min(round(max(each, placement.max_attempts) * placement.num_objects), MAX_BUDGET)
+    budget = min(round(max(each, placement.max_attempts) * placement.num_objects), MAX_BUDGET)
+    given = placement.budget
+    return replace(placement, is_crowded=True, budget=budget if given is None else given)
 
 
 def area_of(support: SupportAsset) -> float:

@@ -60,6 +60,8 @@ OWN_SHARE = 1 / 3
 engines name four points or so, which can leave less than half of it."""
 _SHARE = (0.5, 3.5)
 """Of the current object's footprint: so much is freed at least, drawn anew each time."""
+_OF_TOP = 0.95
+"""How often, in a crowded scene, only what carries nothing is taken away."""
 _CODE_LAST_BONUS = 1000.0
 
 
@@ -134,8 +136,13 @@ def _key_of_attempt(key: Array, purpose: int, episode: Episode) -> Array:
     return jax.random.fold_in(jax.random.fold_in(key, purpose), episode.counts.attempts.sum())
 
 
-def choose_removal(episode: Episode, geometry: Geometry, is_started: Array) -> Array:
+def choose_removal(
+    episode: Episode, geometry: Geometry, is_started: Array, *, is_crowded: bool = False
+) -> Array:
     """The placed objects nearest to a random one, until enough footprint is free: bool[K].
+
+    In a crowded scene they are mostly objects that carry nothing: with the bottom of a heap, all of it would
+    have to be placed again.
 
     Drawn with the episode's key, anew after every attempt. What leans on them is for `remove` to find.
 
@@ -144,6 +151,10 @@ def choose_removal(episode: Episode, geometry: Geometry, is_started: Array) -> A
     """
     key_center, key_share = jax.random.split(_key_of_attempt(episode.key, 2, episode))
     is_mine = episode.is_placed & ~is_started
+    if is_crowded:
+        carries = jnp.any(episode.support_graph.leans_on & is_mine[:, None], axis=0)
+        is_of_top = jax.random.uniform(jax.random.fold_in(key_center, 1)) < _OF_TOP
+        is_mine &= ~(carries & is_of_top)
     noise = jax.random.gumbel(key_center, is_mine.shape)
     center = jnp.argmax(noise + jnp.where(is_mine, 0.0, -jnp.inf))
     offset = episode.poses[:, :2] - episode.poses[center, :2]
@@ -746,7 +757,7 @@ class Rules(struct.PyTreeNode, eq=False):
         if episode.surface is not None:
             stays |= episode.surface != episode.surface[self.focus(episode)]
         if config.most_stacked is None:
-            which = choose_removal(episode, self.geometry, stays)
+            which = choose_removal(episode, self.geometry, stays, is_crowded=config.is_crowded)
             ruined = remove(episode, which, self.geometry, self.related)
         else:
             # Where nothing may lie on others, what is large finds no room any more: all begin again.
