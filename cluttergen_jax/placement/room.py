@@ -52,8 +52,8 @@ _ROOMY = 1.5
 _TWICE_AS_MANY = 0.35
 """By how much more of it twice as many are needed."""
 _MOST_EACH = 20
-"""Attempts for each object. Of fifty of all pools, which cover 2.8 tables, `guided` fills 62 of 64 with so many
-and 57 of 64 with 12."""
+"""Attempts for each object. Of fifty of all pools, which cover 2.8 tables, `guided` fills 62 of 64 with so
+many, and 57 with 12."""
 # Metres: of a base's points, and of a margin that holds.
 _TOUCHING = 1e-4
 _STANDS = 0.0005

@@ -263,6 +263,22 @@ def test_what_stood_there_from_the_beginning_stays_with_all_that_leans_on_it():
         assert not (chosen & ~some(1, 2)).any()
 
 
+@pytest.mark.parametrize(("is_crowded", "low", "high"), [(False, 0.3, 1.0), (True, 0.0, 0.1)])
+def test_in_a_crowded_scene_hardly_anything_that_carries_another_is_taken(is_crowded, low, high):
+    rules = leaning(((1, 0), (2, 1)), num_objects=5)
+    episode = play(rules, [GOOD] * 4)[-1]
+
+    @jax.jit
+    @jax.vmap
+    def chosen(key):
+        at = episode.replace(key=key)
+        return placement_rules.choose_removal(at, rules.geometry, some(), is_crowded=is_crowded)
+
+    found = np.asarray(chosen(jax.random.split(jax.random.key(0), 400)))
+    assert found.any(1).all()
+    assert low <= found[:, :2].any(1).mean() <= high
+
+
 def test_ruin_comes_after_so_many_failures_and_only_where_it_can_be_made_good():
     rules = leaning((), ruin_after=2, budget=9, num_objects=4, max_attempts=5)
     episodes = play(rules, [GOOD, GOOD, GOOD, BAD, BAD])
