@@ -258,7 +258,7 @@ class SceneSpec(PlacementRequest):
       ruin_after: number of failed attempts in a row after which some placed objects, with all that lean on
         them, are removed and placed again; 0 removes nothing. If not given: the method's own, 0 for most.
       budget: attempts of a scene in all; `max_attempts` for each object if not given, with "packed" and
-        where doors are closed unasked twice as many, and up to 12 for each where it is crowded
+        where doors are closed unasked twice as many, and up to 20 for each where it is crowded
         (`placement.room.with_crowding`).
       min_margin: minimum horizontal distance (m) from an object's centre of mass to the edge of its support;
         0 asks for nothing. If not given: 0.003.

@@ -458,8 +458,8 @@ def _make(
             if config.cluster is None:
                 at_once = f"{min(num_processes, len(jobs))} at a time"
             progress.say(
-                f"importing {len(jobs)} objects, {at_once}; most take some seconds, open or rough scans a "
-                f"minute or more, and each {config.time_limit:g} CPU-seconds at most"
+                f"importing {len(jobs)} objects, {at_once}; most take one to five CPU-seconds, "
+                f"intricate ones up to twenty, and each {config.time_limit:g} at most"
             )
             if config.object.body.decomposition.quality == "fine":
                 progress.say("fine parts of curved or hollow objects take several times as long")

@@ -196,3 +196,18 @@ def test_mypy_refuses_a_field_that_is_misspelt_or_renamed(tmp_path):
     assert renamed != text
     spec.write_text(renamed)
     assert '"SceneSpec" has no attribute "for_engine"' in complaints(tmp_path, "cluttergen_jax")
+
+
+@pytest.mark.parametrize(
+    ("asked", "is_crowded", "budget"),
+    [
+        ({"num_objects": 10}, False, None),
+        ({"pool": "all", "num_objects": 50}, True, 1000),
+        ({"pool": "all", "num_objects": 50, "budget": 300}, True, 300),
+        ({"pool": "all", "num_objects": 50, "ruin_after": 0}, False, None),
+        ({"pool": "all", "num_objects": 50, "setting": "paper"}, False, None),
+    ],
+)
+def test_crowded_scenes_have_more_attempts(asked, is_crowded, budget):
+    placement = SceneSpec(**asked).problem_config("guided").placement
+    assert (placement.is_crowded, placement.budget) == (is_crowded, budget)
