@@ -109,7 +109,8 @@ class MillionRows:
     def run(self) -> None:
         """Makes the banks, and measures every way on each."""
         real = self.out / "real"
-        cg.generate(real, num_scenes=self.num_real, method="clear", max_files=self.num_files)
+        if not real.exists():
+            cg.generate(real, num_scenes=self.num_real, method="clear", max_files=self.num_files)
         for size in self.sizes:
             multiply(read_bank(real), self.bank(size), size)
         wanted = [way for way in WAYS if not self.ways or any(each in way for each in self.ways)]

@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -132,6 +133,7 @@ def test_workers_whose_disk_is_full_make_the_bank_of_one_process(pool, tmp_path,
     options = {"pool": pool, "num_scenes": 1100, "method": "random", "max_files": 0, "budget": 4}
     cg.generate(tmp_path / "one" / "bank", **options)
     folder, resize = disk
+    resize(100_000_000)
     command = [sys.executable, "-m", "cluttergen_jax", "generate", "--out", tmp_path / "two/bank"]
     for name, value in (options | {"cluster": "local", "workers": 2}).items():
         command += [f"--{name.replace('_', '-')}", value]
@@ -150,15 +152,22 @@ def test_workers_whose_disk_is_full_make_the_bank_of_one_process(pool, tmp_path,
         first = tmp_path / "two/bank/scenes-000000.parquet"
         while running.poll() is None and not first.exists():
             time.sleep(0.05)
-        with suppress(OSError), (folder / "filler").open("wb") as filler:
-            resize(sum(each.stat().st_size for each in folder.rglob("*") if each.is_file()) + 8192)
+        # Unbuffered: what does not fit is an error of the call, not of closing the file.
+        with (
+            suppress(OSError),
+            (folder / "filler").open("wb", buffering=0) as filler,
+        ):
             while True:
                 filler.write(bytes(4096))
-                filler.flush()
+        missing = running.poll() is None
+        is_full = shutil.disk_usage(folder).free == 0
         _, said = running.communicate(timeout=300)
     finally:
         short.unlink()
     assert running.returncode == 0, said
+    # It was full while some blocks were still missing.
+    assert is_full
+    assert missing
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
 
 
