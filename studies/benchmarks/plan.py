@@ -124,10 +124,8 @@ class Plan:
             {(size * self.num_planned + others) / 1e6:,.0f} MB; while it runs, up to {SHARD_BLOCKS} files of
             blocks more. They take, at {self.core_hour:g} for a core-hour and one core a worker:"""
         )
-        end = prose(
-            f"""The command writes all blocks: above {1 / (one.a_core_second * one.driver):,.0f} workers they would
-            wait for it."""
-        )
+        most = 1 / (one.a_core_second * one.driver)
+        end = f"The command writes all blocks: above {most:,.0f} workers they would wait for it."
         return "\n\n".join(("## A million scenes, planned", intro, seen, kept, derived, end))
 
     def derived(self, workers: int, one: Rates) -> tuple[str, ...]:
