@@ -145,7 +145,7 @@ class MillionRows:
             for each in uses:
                 row += ["", ""] if each is None else [f"{each.peak / 1e6:,.0f}", f"{each.cpu:,.1f}"]
             known = [each for each in uses if each is not None]
-            row.append(f"{known[-1].peak / known[0].peak:.2f}")
+            row.append(f"{known[-1].peak / known[0].peak:.2f}" if len(known) > 1 else "")
             rows.append(row)
         largest = self.bank(self.sizes[-1])
         files = [each for each in largest.rglob("*") if each.is_file()]

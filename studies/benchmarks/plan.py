@@ -148,11 +148,13 @@ _PACKAGES = ("mujoco", "jax", "ray")
 
 def rates_of(samples: list[Sample]) -> Rates:
     """From when scenes were first told of to when the last were (SystemExit: too few are told of)."""
-    told = [each for each in samples if each.scenes]
-    first = told[0] if told else samples[-1]
-    last = next((each for each in told if each.scenes == told[-1].scenes), first)
-    if last.scenes == first.scenes:
+    # Workers end before the command does, and their processor time is gone with them.
+    end = max(range(len(samples)), key=lambda place: samples[place].workers_seconds)
+    told = [each for each in samples[: end + 1] if each.scenes]
+    if not told or told[0].scenes == told[-1].scenes:
         raise SystemExit("the run ended before two numbers of scenes were told: make more scenes")
+    first = told[0]
+    last = next(each for each in told if each.scenes == told[-1].scenes)
     made = last.scenes - first.scenes
     return Rates(
         made / (last.seconds - first.seconds),

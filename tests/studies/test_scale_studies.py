@@ -40,7 +40,8 @@ def test_rates_leave_out_the_start_and_the_end():
         sample(30, 100, 5, 20),
         sample(40, 300, 6, 40),
         sample(50, 500, 7, 60),
-        sample(60, 500, 9, 60),
+        sample(58, 500, 8, 61),
+        sample(60, 600, 9, 0),
     ]
     rates = rates_of(samples)
     assert rates == Rates(a_second=20, a_core_second=10, driver=0.005)
