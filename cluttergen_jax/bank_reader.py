@@ -729,6 +729,7 @@ class Blocks:
     def _open(self, name: str) -> Any:
         # One at a time: blocks are read in order, and each open file costs memory.
         if self._latest[0] != name:
+            self._latest = ("", None)
             try:
                 file = self.open_file(name)
             except FileNotFoundError as error:

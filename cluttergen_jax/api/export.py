@@ -75,10 +75,10 @@ def export(
         check_is_here,
         good_indices,
         local_paths,
+        num_good,
         parse_reference,
         read_bank,
         read_scenes,
-        select_rows,
     )
     from cluttergen_jax.scene.export import BANK_FORMATS, export_bank, export_scenes
     from cluttergen_jax.scene.export.formats import find_format
@@ -144,7 +144,7 @@ def export(
         return export_bank(
             bank.path, bank.support, objects, indices, out, str(format), overwrite, robot or "panda"
         )
-    total = len(good_indices(bank) if numbers is None else select_rows(bank, numbers))
+    total = num_good(bank) if numbers is None else len(numbers)
     read = read_scenes(bank, numbers)
     read = _furnish_scenes(read, look)
     shown = read if total <= _MANY else track(read, "exporting", total, "scene")

@@ -114,15 +114,14 @@ def run_export(options: Options) -> None:
     Example: `cluttergen export out --format urdf --scenes 0-9 --out elsewhere`
     """
     from cluttergen_jax.scene.export import BANK_FORMATS
-    from cluttergen_jax.scene.export.folder import MANIFEST
+    from cluttergen_jax.scene.export.folder import num_exported
     from cluttergen_jax.scene.export.formats import find_format
 
     own = {"old_mujoco": options.old_mujoco, "joints": options.joints}
     kind = BANK_FORMATS.get(options.format) or find_format(options.format, **own)
     is_whole = options.format in BANK_FORMATS
     folder = options.call(export, format=options.format if is_whole else kind)
-    scenes = json_text.loads((folder / MANIFEST).read_text())["scenes"]
-    print(f"{len(scenes)} scenes in {folder}: open with {kind.opens_in}")
+    print(f"{num_exported(folder)} scenes in {folder}: open with {kind.opens_in}")
 
 
 @command(cut, bank=Positional[str], scenes=str)

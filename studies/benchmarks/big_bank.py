@@ -37,7 +37,7 @@ class Sample:
     Attributes:
       seconds: since it was started; scenes: made until then.
       driver_mb, workers_mb: resident memory of the command, and of all workers together, 10^6 bytes.
-      driver_seconds: processor time of the command.
+      driver_seconds, workers_seconds: processor time of the command, and of all workers together.
     """
 
     seconds: float
@@ -45,6 +45,7 @@ class Sample:
     driver_mb: float
     workers_mb: float
     driver_seconds: float
+    workers_seconds: float
 
 
 @dataclass(frozen=True)
@@ -205,11 +206,18 @@ def look(process: int, seconds: float, scenes: int) -> Sample | None:
     try:
         driver = psutil.Process(process)
         workers = 0
+        workers_seconds = 0.0
         for each in driver.children(recursive=True):
             if is_worker(each):
                 workers += each.memory_info().rss
+                workers_seconds += each.cpu_times().user
         return Sample(
-            seconds, scenes, driver.memory_info().rss / 1e6, workers / 1e6, driver.cpu_times().user
+            seconds,
+            scenes,
+            driver.memory_info().rss / 1e6,
+            workers / 1e6,
+            driver.cpu_times().user,
+            workers_seconds,
         )
     except psutil.Error:
         return None

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from cluttergen_jax.scene.bank.scene import (
         REFERENCES,
         good_indices,
+        num_good,
         parse_reference,
         read_scenes,
         region_of,
@@ -45,6 +46,7 @@ __getattr__, __all__ = offer(
         "scene": (
             "REFERENCES",
             "good_indices",
+            "num_good",
             "parse_reference",
             "read_scenes",
             "region_of",

@@ -111,9 +111,10 @@ class Bank:
 
     def _read(self, numbers: Sequence[int]) -> Iterator[Scene]:
         asset_of = lru_cache(maxsize=None)(self.object)
+        stored = self.blocks()
         for first in range(0, len(numbers), BLOCK_SIZE):
             part = numbers[first : first + BLOCK_SIZE]
-            rows = self.rows(part)
+            rows = self._rows_in(stored, part)
             for number in part:
                 if number not in rows:
                     raise BankError(
@@ -282,7 +283,10 @@ class Bank:
         Raises:
           BankError: a block is damaged.
         """
-        stored = self.blocks()
+        return self._rows_in(self.blocks(), indices)
+
+    def _rows_in(self, stored: StoredBlocks, indices: Iterable[int]) -> dict[int, BankRow]:
+        """As `rows`; a file of `stored` that is asked several times running is opened once."""
         found = {}
         for block, wanted in groupby(sorted(set(indices)), lambda index: index // BLOCK_SIZE):
             if block in stored.places:

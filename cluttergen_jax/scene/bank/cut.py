@@ -21,6 +21,7 @@ from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.progress import track
 from cluttergen_jax.scene.bank.bank import Bank, read_bank
+from cluttergen_jax.scene.bank.blocks import StoredBlocks
 from cluttergen_jax.scene.bank.card import write_card
 from cluttergen_jax.scene.bank.record import cut_runs
 from cluttergen_jax.scene.bank.remote import check_is_here, is_url
@@ -43,12 +44,12 @@ def cut_bank(bank: Bank, numbers: Sequence[int] | None, out: str | Path, overwri
       ConfigError: no numbers, one twice, or `out` is the bank itself.
     """
     check_is_here(bank.path)
-    there = [int(each) for rows in bank.tables(["index"]) for each in rows["index"].to_numpy()]
-    numbers = there if numbers is None else [int(each) for each in numbers]
-    _check_numbers(bank, numbers, there)
+    there = np.concatenate([rows["index"].to_numpy() for rows in bank.tables(["index"])])
+    wanted = there if numbers is None else np.array(list(numbers), np.int64)
+    _check_numbers(bank, wanted, there)
     if not is_url(out) and Path(out).resolve() == bank.path.resolve():
         raise ConfigError(f"{out}, which is the bank that is cut", "another folder")
-    of_seed = _runs(number_of_seed(bank.recipe, number) for number in numbers)
+    of_seed = _runs(number_of_seed(bank.recipe, int(number)) for number in wanted)
     cut = {"bank": bank.recipe.get("cut", {}).get("bank", bank.path.resolve().name)}
     recipe = {**bank.recipe, "cut": {**cut, "scenes": of_seed}}
     asset_of = lru_cache(maxsize=None)(bank.object)
@@ -57,11 +58,12 @@ def cut_bank(bank: Bank, numbers: Sequence[int] | None, out: str | Path, overwri
     objects: Objects = asset_of
     if not bank.recipe.get("shelf"):
         objects = {name: asset_of(name) for name in sorted(named)}
-    blocks = range(0, len(numbers), BLOCK_SIZE)
+    blocks = range(0, len(wanted), BLOCK_SIZE)
+    stored = bank.blocks()
     with BankWriter(
         out,
         recipe,
-        len(numbers),
+        len(wanted),
         objects,
         bank.support,
         overwrite,
@@ -69,13 +71,13 @@ def cut_bank(bank: Bank, numbers: Sequence[int] | None, out: str | Path, overwri
         open_support=bank.open_support if "support_open" in bank.assets else None,
     ) as writer:
         for first in track(blocks, "cutting", len(blocks), "block"):
-            some = numbers[first : first + BLOCK_SIZE]
+            some = wanted[first : first + BLOCK_SIZE].tolist()
             block = first // BLOCK_SIZE
             if not writer.has_block(block, len(some)):
-                writer.write_block(block, _rows(bank, some, first))
+                writer.write_block(block, _rows(stored, some, first))
         writer.finish()
         with writing(writer.path):
-            writer.keep_digests(_copy_files(bank, numbers, writer.path))
+            writer.keep_digests(_copy_files(bank, wanted, writer.path))
             write_card(read_bank(writer.path))
     return read_bank(writer.path)
 
@@ -96,12 +98,13 @@ def number_of_seed(recipe: Mapping[str, Any], number: int) -> int:
     raise BankError(f"scene {number} of a bank that was cut", f"fewer than {number - left + 1}")
 
 
-def _check_numbers(bank: Bank, numbers: Sequence[int], there: Sequence[int]) -> None:
-    if not numbers:
+def _check_numbers(bank: Bank, numbers: np.ndarray, there: np.ndarray) -> None:
+    if not len(numbers):
         raise ConfigError("a cut of no scenes", "one or more", "scenes='0-99'")
-    if len(set(numbers)) < len(numbers):
+    if len(np.unique(numbers)) < len(numbers):
         raise ConfigError("a cut with a scene twice", "each once")
-    if missing := missing_text(numbers, there):
+    if not np.isin(numbers, there).all():
+        missing = missing_text(numbers.tolist(), there.tolist())
         raise BankError(f"{bank.path}: {missing}", "scenes that are there", "leaving those out")
 
 
@@ -116,10 +119,9 @@ def _runs(numbers: Iterator[int]) -> list[list[int]]:
     return runs
 
 
-def _rows(bank: Bank, numbers: Sequence[int], first: int) -> pa.Table:
+def _rows(stored: StoredBlocks, numbers: Sequence[int], first: int) -> pa.Table:
     """The rows of these scenes, in order, numbered from `first`."""
     found = []
-    stored = bank.blocks()
     for block, some in groupby(numbers, lambda number: number // BLOCK_SIZE):
         rows = stored.read_block(block)
         found.append(rows.take(pa.array([number % BLOCK_SIZE for number in some])))
@@ -128,14 +130,16 @@ def _rows(bank: Bank, numbers: Sequence[int], first: int) -> pa.Table:
     return table.set_column(table.schema.get_field_index("index"), "index", index)
 
 
-def _copy_files(bank: Bank, numbers: Sequence[int], out: Path) -> dict[str, str]:
+def _copy_files(bank: Bank, numbers: np.ndarray, out: Path) -> dict[str, str]:
     """Copies the files of scenes, as far as the bank has them; digests of the models, by path."""
     digests = {}
     known = bank.files or {}
+    there = {each.name for each in (bank.path / "scenes").glob("*")}
     for place, number in enumerate(track(numbers, "copying", len(numbers), "scene")):
         for ending in _FILES:
-            name = f"scenes/{number:06d}.{ending}"
-            if not inside(bank.path, name).is_file():
+            file = f"{number:06d}.{ending}"
+            name = f"scenes/{file}"
+            if file not in there or not inside(bank.path, name).is_file():
                 continue
             data = read_regular(inside(bank.path, name))
             digest = digest_of(data)

@@ -14,12 +14,13 @@ import pyarrow.compute as pc
 from cluttergen_jax.assets.support import Rectangle
 from cluttergen_jax.errors import BankError, ConfigError
 from cluttergen_jax.placement.problem import Standing
+from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.scene import Scene
 from cluttergen_jax.scene.bank.bank import Bank, read_bank
 from cluttergen_jax.scene.bank.record import INDEX, record_error
 from cluttergen_jax.scene.bank.remote import bank_folder, is_url
-from cluttergen_jax.scene.bank.table import BankRow
+from cluttergen_jax.scene.bank.table import BankRow, rows_of
 from cluttergen_jax.scene.collection import most_of
 
 REFERENCES = "BANK, BANK:INDEX or BANK/scenes/NUMBER.xml"
@@ -124,47 +125,85 @@ def good_indices(bank: Bank) -> list[int]:
     for rows in bank.tables(["index", "is_success"]):
         found += rows["index"].to_numpy()[rows["is_success"].to_numpy()].tolist()
     if not found:
-        raise BankError(
-            f"{bank.path}: none of its {bank.num_scenes} scenes succeeded", hint="more scenes"
-        )
+        raise _none_succeeded(bank)
     return found
 
 
-def select_rows(bank: Bank, indices: Sequence[int] | None = None) -> list[BankRow]:
-    """The rows of these scenes, or of all that succeeded.
+def num_good(bank: Bank) -> int:
+    """How many scenes succeeded (BankError: none did)."""
+    number = sum(int(np.sum(rows["is_success"])) for rows in bank.tables(["is_success"]))
+    if not number:
+        raise _none_succeeded(bank)
+    return number
+
+
+def _none_succeeded(bank: Bank) -> BankError:
+    return BankError(
+        f"{bank.path}: none of its {bank.num_scenes} scenes succeeded", hint="more scenes"
+    )
+
+
+def select_rows(bank: Bank, indices: Sequence[int] | None = None) -> Iterator[BankRow]:
+    """The rows of these scenes, in this order, or of all that succeeded; read some at a time.
 
     Raises:
-      BankError: one of them is not there or failed, or none succeeded.
+      BankError: one of them is not there or failed, before the first row; or none succeeded.
     """
-    indices = good_indices(bank) if indices is None else indices
-    by_index = bank.rows(indices)
+    if indices is None:
+        yield from _good_rows(bank)
+        return
+    _check_selected(bank, indices)
+    for first in range(0, len(indices), BLOCK_SIZE):
+        some = indices[first : first + BLOCK_SIZE]
+        rows = bank.rows(some)
+        for index in some:
+            yield rows[index]
+
+
+def _good_rows(bank: Bank) -> Iterator[BankRow]:
+    num_good = 0
+    for rows in bank.tables():
+        good = rows.filter(rows["is_success"])
+        num_good += good.num_rows
+        yield from rows_of(good)
+    if not num_good:
+        raise _none_succeeded(bank)
+
+
+def _check_selected(bank: Bank, indices: Sequence[int]) -> None:
+    """Refuses scenes that are not there or failed (BankError)."""
+    wanted = np.unique(np.array(indices, np.int64))
+    num_found = 0
+    failed: dict[int, str] = {}
+    for rows in bank.tables(["index", "is_success", "verdict"], wanted):
+        found = rows.filter(np.isin(rows["index"].to_numpy(), wanted))
+        num_found += found.num_rows
+        bad = found.filter(pc.invert(found["is_success"]))
+        failed |= zip(bad["index"].to_pylist(), bad["verdict"].to_pylist(), strict=True)
     faults = []
-    if len(by_index) < len(set(indices)):
+    if num_found < len(wanted):
         there = [
             int(index) for rows in bank.tables(["index"]) for index in rows["index"].to_numpy()
         ]
         faults.append(missing_text(indices, there))
-    failed = [by_index[i] for i in indices if i in by_index and not by_index[i].is_success]
     if len(failed) == 1:
-        faults.append(f"scene {failed[0].index} failed ({failed[0].verdict})")
+        ((index, verdict),) = failed.items()
+        faults.append(f"scene {index} failed ({verdict})")
     elif failed:
-        numbers = numbers_text(int(row.index) for row in failed)
-        verdicts = ", ".join(sorted({row.verdict for row in failed}))
-        faults.append(f"{len(failed)} scenes failed: {numbers} ({verdicts})")
+        verdicts = ", ".join(sorted(set(failed.values())))
+        faults.append(f"{len(failed)} scenes failed: {numbers_text(failed)} ({verdicts})")
     if faults:
         raise BankError(f"{bank.path}: {'; '.join(faults)}", "scenes that stand", _LEAVE_OUT)
-    return [by_index[index] for index in indices]
 
 
 def read_scenes(bank: Bank, indices: Sequence[int] | None = None) -> Iterator[Scene]:
-    """These scenes, or all that succeeded, one by one; each asset is read once.
+    """These scenes, or all that succeeded, one by one; each asset is read once, and rows some at a time.
 
     Raises:
       BankError: one of them is not there or failed, none succeeded, or the bank's record is damaged.
     """
-    rows = select_rows(bank, indices)
     asset_of = lru_cache(maxsize=None)(bank.object)
-    for row in rows:
+    for row in select_rows(bank, indices):
         yield bank.scene_of(row, asset_of)
 
 

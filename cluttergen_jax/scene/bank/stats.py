@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import zlib
 from collections import Counter, defaultdict
 from collections.abc import Iterable
@@ -20,6 +21,7 @@ from cluttergen_jax.placement.arranged import count_arranged
 from cluttergen_jax.placement.arrangements import parse_arrangements
 from cluttergen_jax.placement.clutter import CROWDED, NAMES, Clutter
 from cluttergen_jax.placement.config import PlacementConfig
+from cluttergen_jax.placement.scenes import BLOCK_SIZE
 from cluttergen_jax.placement.world import base_name
 from cluttergen_jax.progress import time_text
 from cluttergen_jax.scene.bank.bank import Bank, read_bank
@@ -603,11 +605,15 @@ def _digests(rows: pa.Table) -> np.ndarray:
 
 def _duplicates(bank: Bank, index: np.ndarray, digest: np.ndarray) -> tuple[tuple[int, ...], ...]:
     """Groups of successful scenes with the same objects at the same poses, in whatever order."""
-    _, inverse, counts = np.unique(digest, return_inverse=True, return_counts=True)
-    groups: dict[tuple[tuple[str, bytes], ...], list[int]] = defaultdict(list)
-    for number, row in bank.rows(index[counts[inverse] > 1].tolist()).items():
-        stored = [pose.tobytes() for pose in row.poses]
-        groups[tuple(sorted(zip(map(base_name, row.objects), stored, strict=True)))].append(number)
+    ordered = np.sort(digest)
+    repeated = np.unique(ordered[1:][ordered[1:] == ordered[:-1]])
+    suspects = index[np.isin(digest, repeated)].tolist()
+    groups: dict[bytes, list[int]] = defaultdict(list)
+    for first in range(0, len(suspects), BLOCK_SIZE):
+        for number, row in bank.rows(suspects[first : first + BLOCK_SIZE]).items():
+            pairs = zip(map(base_name, row.objects), row.poses, strict=True)
+            content = sorted((name, pose.tobytes()) for name, pose in pairs)
+            groups[hashlib.sha256(repr(content).encode()).digest()].append(number)
     return tuple(tuple(group) for group in groups.values() if len(group) > 1)
 
 

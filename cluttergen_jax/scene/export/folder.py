@@ -21,12 +21,14 @@ from __future__ import annotations
 import importlib.resources
 import json
 import shutil
+import tempfile
+import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -163,20 +165,27 @@ class _Folder:
         self._grasps = grasps
         self.num_grasped = 0
         self._assets: dict[str, ObjectAsset] = {}
-        self._records: list[dict[str, object]] = []
+        self._num_scenes = 0
         self._taken: set[int] = set()
         self._first: Scene | None = None
 
     def write(self, scenes: Iterable[Scene]) -> None:
         """Writes everything."""
         (self._path / "scenes").mkdir(parents=True)
-        for scene in check_alike(scenes):
-            self._add(scene)
-        if self._first is None:
-            raise ConfigError("an export of no scenes", "one scene or more")
-        self._add_papers(self._first)
+        # Records wait on disk, as there may be a million; they come last in the manifest.
+        with tempfile.TemporaryFile("w+", encoding="utf-8", dir=self._path) as records:
+            for scene in check_alike(scenes):
+                record = self._add(scene)
+                records.write(",\n" if self._num_scenes else "\n")
+                records.write(textwrap.indent(json.dumps(record, indent=1), "  "))
+                self._num_scenes += 1
+            if self._first is None:
+                raise ConfigError("an export of no scenes", "one scene or more")
+            records.seek(0)
+            self._add_papers(self._first, records)
 
-    def _add(self, scene: Scene) -> None:
+    def _add(self, scene: Scene) -> dict[str, object]:
+        """Writes a scene; returns its entry in the manifest."""
         if self._first is None:
             self._first = scene
             if self._kind.write_support:
@@ -198,21 +207,27 @@ class _Folder:
         self._taken.add(number)
         file = f"scenes/{number:06d}.{self._kind.ending}"
         self._kind.write_scene(self._path / file, scene)
-        self._records.append(
-            {"file": file, **asdict(scene.origin), "objects": objects_record(scene)}
-        )
+        return {"file": file, **asdict(scene.origin), "objects": objects_record(scene)}
 
     def _make_folder(self, folder: str) -> Path:
         path = inside(self._path, folder)
         path.mkdir(parents=True)
         return path
 
-    def _add_papers(self, first: Scene) -> None:
+    def _add_papers(self, first: Scene, records: IO[str]) -> None:
+        """Writes what is about all scenes.
+
+        Args:
+          records: the scenes' entries in the manifest, as JSON.
+        """
         assets = list(self._assets.values())
-        record = manifest(self._kind, generator_version(), assets, first, self._records)
-        self._save(MANIFEST, json.dumps(record, indent=1) + "\n")
+        head = json.dumps(manifest(self._kind, generator_version(), assets, first), indent=1)
+        with (self._path / MANIFEST).open("w", encoding="utf-8") as file:
+            file.write(head.removesuffix("\n}") + ',\n "scenes": [')
+            shutil.copyfileobj(records, file)
+            file.write("\n ]\n}\n")
         self._save(LICENCES, licences_text(first.support, assets, self._kind.scripts))
-        self._save("README.txt", _readme(self._kind, len(self._records), first))
+        self._save("README.txt", _readme(self._kind, self._num_scenes, first))
         for script, text in _read_scripts(self._kind.scripts).items():
             self._save(script, text)
 
@@ -241,14 +256,24 @@ def _readme(kind: Format, num_scenes: int, first: Scene) -> str:
     )
 
 
+def num_exported(folder: Path) -> int:
+    """How many scenes an export has, as its README.txt says; its manifest, which may be huge, is not read."""
+    with (folder / "README.txt").open(encoding="utf-8") as file:
+        return int(file.readline().split()[0])
+
+
 def manifest(
     kind: Format,
     generator: str,
     assets: Sequence[ObjectAsset],
     first: Scene,
-    scenes: Sequence[dict[str, object]],
 ) -> dict[str, object]:
-    """The whole manifest as JSON values: `generator` is this package's version, `first` any of the scenes."""
+    """The manifest but for its scenes, which come last, as JSON values.
+
+    Args:
+      generator: this package's version.
+      first: any of the scenes.
+    """
     support = first.support
     return {
         "format": 1,
@@ -281,7 +306,6 @@ def manifest(
             for asset in assets
         ],
         **cameras_record(first),
-        "scenes": list(scenes),
     }
 
 
