@@ -123,8 +123,8 @@ class PlacementConfig(PlacementRequest):
       success_reward: R0 of the paper's equation 1.
       retry_last: a scene that moves in its last check is not over while attempts are left: what moved is
         taken away, with all that leans on it, and comes again.
-      is_crowded: objects' boxes cover the region more than once or so: many have to lie on others, and what
-        is taken away is mostly what carries nothing.
+      is_crowded: objects' boxes cover the region more than twice: many have to lie on others, and what is
+        taken away is mostly what carries nothing.
       most_stacked: objects that may rest on others at most; None for any number. `packed` allows as many as
         `clutter` asks for by `stack`, unasked none.
     """

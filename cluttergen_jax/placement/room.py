@@ -49,6 +49,8 @@ ROOM = 0.003
 """Metres that have to be free above the tallest object under a board."""
 _ROOMY = 1.5
 """Area of the boxes of all objects over the region's up to which the usual number of attempts is enough."""
+_CROWDED = 2.0
+"""Likewise, from which so many objects have to lie on others that they are led there; below, it only costs."""
 _TWICE_AS_MANY = 0.35
 """By how much more of it twice as many are needed."""
 _MOST_EACH = 20
@@ -130,15 +132,17 @@ def with_crowding(placement: PlacementConfig, covered: float) -> PlacementConfig
     """The rules where objects cover so much (`boxes_over_area`) and some are taken away and placed again.
 
     `max_attempts` for each object are enough where boxes cover the region once or so. Beyond that most
-    attempts place again what was taken away: the scene is crowded, and the usual number of attempts grows
-    with how much so, up to `_MOST_EACH` for each object.
+    attempts place again what was taken away: the usual number grows with how much they cover, up to
+    `_MOST_EACH` for each object.
     """
     if covered <= _ROOMY or not placement.ruin_after:
         return placement
     each = min(placement.max_attempts * 2 ** ((covered - _ROOMY) / _TWICE_AS_MANY), _MOST_EACH)
     budget = min(round(max(each, placement.max_attempts) * placement.num_objects), MAX_BUDGET)
     given = placement.budget
-    return replace(placement, is_crowded=True, budget=budget if given is None else given)
+    return replace(
+        placement, is_crowded=covered > _CROWDED, budget=budget if given is None else given
+    )
 
 
 def area_of(support: SupportAsset) -> float:

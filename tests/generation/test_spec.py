@@ -202,6 +202,7 @@ def test_mypy_refuses_a_field_that_is_misspelt_or_renamed(tmp_path):
     ("asked", "is_crowded", "budget"),
     [
         ({"num_objects": 10}, False, None),
+        ({"pool": "all", "num_objects": 30}, False, 206),
         ({"pool": "all", "num_objects": 50}, True, 1000),
         ({"pool": "all", "num_objects": 50, "budget": 300}, True, 300),
         ({"pool": "all", "num_objects": 50, "ruin_after": 0}, False, None),
