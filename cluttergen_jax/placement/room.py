@@ -50,7 +50,7 @@ ROOM = 0.003
 _ROOMY = 1.5
 """Area of the boxes of all objects over the region's up to which the usual number of attempts is enough."""
 _CROWDED = 2.0
-"""Likewise, from which so many objects have to lie on others that they are led there; below, it only costs."""
+"""Likewise, from which objects are led onto others, where many have to lie; below, that only costs."""
 _TWICE_AS_MANY = 0.35
 """By how much more of it twice as many are needed."""
 _MOST_EACH = 20
