@@ -458,8 +458,6 @@ def decompositions(
         return
     nearness = Nearness(solid)
     enough = nearness.enough
-    if enough > FEW:
-        config = replace(config, threshold=min(_OPEN_THRESHOLD * config.threshold, 1.0))
     most = config.max_parts
     exact = exact_parts(solid, _MOST_RAW) if config.exact else None
     if exact is not None and exact.parts:
@@ -477,6 +475,8 @@ def decompositions(
         is_pierced = not small and len(free) > 0 and find_hollow(solid) is None
         if is_pierced or small:
             yield sets if is_pierced else small
+    if enough > FEW:
+        config = replace(config, threshold=min(_OPEN_THRESHOLD * config.threshold, 1.0))
     limits = _FINE_LIMITS if config.quality == "fine" else _LIMITS
     cut = _Cut(solid.mesh, solid, config, jitter)
     parts = cut.halved(nearness, _REACHES[0])
