@@ -44,8 +44,8 @@ _MOST_UNBORN = 3
 """So many workers may end, one after another, before they take a job."""
 _BYTES = 8 << 30
 _LEAST = 3 << 30
-_SETTINGS = {"OMP_NUM_THREADS": "1", "JAX_PLATFORMS": "cpu"}
-"""One thread each, and no GPU."""
+_SETTINGS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "JAX_PLATFORMS": "cpu"}
+"""One thread each, and no GPU. Sums of several threads might end in other bits."""
 
 
 @dataclass
@@ -113,7 +113,7 @@ class Crew:
 
     Args:
       function: of a job, for all workers; it and the jobs are pickled.
-      num_processes: at a time.
+      num_processes: at a time; where jobs are fewer, each has threads of its own for CoACD.
       limit: seconds of a processor that a job may take, all tries together; None for as long as it likes.
       again: makes the next job.
       most_tries: of a job, where `again` is given.
@@ -138,6 +138,7 @@ class Crew:
         self._most_tries = most_tries if again is not None else 1
         self._watch = watch
         self._start = (function.__module__, is_limited)
+        self._num_threads = 1
         self._phases: dict[ProcessPool, Any] = {}
         self._idle: list[ProcessPool] = []
         self._busy: dict[Future[_Done], tuple[ProcessPool, _Task]] = {}
@@ -152,6 +153,8 @@ class Crew:
           ClutterGenError: workers end before they take a job.
           Exception: what the function raised.
         """
+        # CoACD, which is most of the work, finds the same with any number of threads.
+        self._num_threads = max(1, self._num // max(1, len(jobs)))
         self._waiting = deque(_Task(index, job) for index, job in enumerate(jobs))
         self._last.clear()
         while self._waiting or self._last or self._busy:
@@ -195,7 +198,7 @@ class Crew:
             context = multiprocessing.get_context("spawn")
             # Without a lock, which a worker that is killed would keep.
             phase = context.RawArray("c", _MOST_TOLD + 1)
-            start = (*self._start, phase)
+            start = (*self._start, self._num_threads, phase)
             pool = ProcessPool(1, initializer=_begin, initargs=start, context=context)
             self._phases[pool] = phase
             self._idle.append(pool)
@@ -294,7 +297,7 @@ class _Done:
     cpu_seconds: float
 
 
-def _begin(module: str, is_limited: bool, phase: Any) -> None:
+def _begin(module: str, is_limited: bool, num_threads: int, phase: Any) -> None:
     """In a worker, before its first job: settings, and then what the function and its jobs need.
 
     Args:
@@ -302,7 +305,7 @@ def _begin(module: str, is_limited: bool, phase: Any) -> None:
     """
     # pebble's own answer to it waits for the end of whatever library is at work.
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    os.environ.update(_SETTINGS)
+    os.environ.update(_SETTINGS | {"OMP_NUM_THREADS": str(num_threads)})
     if is_limited:
         limit_memory()
     threading.Thread(target=_end_with_parent, daemon=True).start()
