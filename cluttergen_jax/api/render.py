@@ -164,7 +164,6 @@ def render(
     check_importable()
     from cluttergen_jax.generation.sources.rendering import Rendering
     from cluttergen_jax.rendering.look import find_look
-    from cluttergen_jax.rendering.photo import check_photo
     from cluttergen_jax.rendering.scene_renderer import PictureConfig
     from cluttergen_jax.sensing.camera import parse_cameras
     from cluttergen_jax.views.bop import BopConfig
@@ -189,6 +188,8 @@ def render(
     if transparent and (turntable or replay):
         raise ConfigError("a film that is transparent", "pictures", "background='white'")
     if quality == "photo":
+        from cluttergen_jax.rendering.photo import check_photo
+
         check_photo(photo)
         if density:
             raise ConfigError(
@@ -290,7 +291,6 @@ def make_dataset(
     from cluttergen_jax.cluster import cluster_of
     from cluttergen_jax.rendering.gl import find_backend
     from cluttergen_jax.rendering.look import find_look
-    from cluttergen_jax.rendering.photo import check_photo
     from cluttergen_jax.rendering.renderer import check_size
     from cluttergen_jax.scene.bank import Bank, bank_folder
     from cluttergen_jax.sensing import parse_cameras
@@ -316,6 +316,8 @@ def make_dataset(
         check_size(*each.size, 1)
     find_look(look)
     if colour and quality == "photo":
+        from cluttergen_jax.rendering.photo import check_photo
+
         check_photo(PhotoConfig())
         if "light" in vary:
             raise ConfigError(

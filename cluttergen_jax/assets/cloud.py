@@ -100,12 +100,16 @@ def farthest_first(
       weight: f64[N]: distances to points that are to lie denser count for more.
     """
     order = np.empty(len(points) if count is None else min(count, len(points)), np.int64)
+    # Axis by axis: sums along the short axis of an array are slow.
+    axes = list(np.ascontiguousarray(points.T))
+    squared_weight = weight**2
     distance = np.full(len(points), np.inf)
     current = int(((points - points.mean(0)) ** 2).sum(1).argmax())
     for index in range(len(order)):
         order[index] = current
-        distance = np.minimum(distance, ((points - points[current]) ** 2).sum(1))
-        current = int((distance * weight**2).argmax())
+        squared = sum((axis - axis[current]) ** 2 for axis in axes)
+        distance = np.minimum(distance, squared)
+        current = int((distance * squared_weight).argmax())
     return order
 
 

@@ -167,7 +167,7 @@ class Rollout:
 
         # Functions of this rollout alone: JAX counts and clears programs by the function.
         def propose(sampler: BlockSampler, episodes: Episode) -> tuple[Any, ...]:
-            return _by_parts(lambda part: _propose_batch(sampler, part), episodes, sampler.in_parts)
+            return _by_parts(sampler, episodes)
 
         def judge(sampler: BlockSampler, *settled: Any) -> tuple[Episode, Transition, Array]:
             after, transition, is_filled = jax.vmap(sampler.rules.judge)(*settled)
@@ -373,17 +373,20 @@ def _propose_batch(sampler: BlockSampler, episodes: Episode) -> tuple[Any, ...]:
     return episodes, action, *jax.vmap(sampler.rules.release)(episodes, action)
 
 
-def _by_parts(
-    propose: Callable[[Episode], tuple[Any, ...]], episodes: Episode, in_parts: bool
-) -> tuple[Any, ...]:
+def _by_parts(sampler: BlockSampler, episodes: Episode) -> tuple[Any, ...]:
     """What is proposed in all episodes, `PART` by `PART`; zeros where all of a part are over."""
     number = len(episodes.is_over)
-    if not in_parts or number % PART:
-        return propose(episodes)
+    if not sampler.in_parts or number % PART:
+        return _propose_batch(sampler, episodes)
+
+    def propose(part: Episode) -> tuple[Any, ...]:
+        return _propose_batch(sampler, part)
 
     def nothing(part: Episode) -> tuple[Any, ...]:
-        _, *proposed = jax.eval_shape(propose, part)
-        return part, *jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), proposed)
+        action = jnp.zeros((PART, _ACTION_SIZE), jnp.float32)
+        # What an action leads to has shapes that need no proposer, which takes a second to trace.
+        asked = jax.eval_shape(jax.vmap(sampler.rules.release), part, action)
+        return part, action, *jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), asked)
 
     parts = jax.tree.map(lambda leaf: leaf.reshape(number // PART, PART, *leaf.shape[1:]), episodes)
     found = jax.lax.map(
@@ -435,6 +438,8 @@ def sample_block(
     return indices[:rows], jax.tree.map(lambda array: array[:rows], scenes)
 
 
+_ACTION_SIZE = 4
+"""Numbers of an action: x, y, z and a turn about z."""
 _AT_ONCE = 32
 """Proposals drawn side by side: a method that lowers candidates needs megabytes for each."""
 

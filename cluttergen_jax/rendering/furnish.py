@@ -42,7 +42,7 @@ def covering_texture(covering: Covering) -> Texture:
     """
     if covering.of in KINDS:
         pixels = draw_surface(covering.of, covering.colours, covering.seed)
-        return Texture.of(Image.fromarray(pixels))
+        return Texture.of(Image.fromarray(pixels), fast=True)
     try:
         with Image.open(covering.of) as image:
             return Texture.of(on_white(image))

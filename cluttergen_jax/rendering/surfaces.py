@@ -13,13 +13,14 @@ SIDE = 1024
 Rgb = tuple[float, float, float]
 
 
-_FREQUENCIES = np.fft.fftfreq(SIDE)[:, None], np.fft.rfftfreq(SIDE)[None, :]
+def _blur(frequencies: np.ndarray, size: float) -> np.ndarray:
+    """What a Gaussian blur by so many pixels leaves of each frequency along an axis."""
+    return np.asarray(np.exp(-2 * np.pi**2 * (size * frequencies) ** 2))
 
 
-def _blurs(along: float, across: float) -> np.ndarray:
-    """What a Gaussian blur by so many pixels along x and across it leaves of each frequency."""
-    down, right = _FREQUENCIES
-    return np.exp(-2 * np.pi**2 * ((across * down) ** 2 + (along * right) ** 2))
+def _blurs(along: float, across: float) -> tuple[np.ndarray, np.ndarray]:
+    """What is left of each frequency down the image, f64[SIDE], and along its rows, f64[SIDE // 2 + 1]."""
+    return _blur(np.fft.fftfreq(SIDE), across), _blur(np.fft.rfftfreq(SIDE), along)
 
 
 def _filter_noise(rng: np.random.Generator, kept: np.ndarray) -> np.ndarray:
@@ -30,17 +31,17 @@ def _filter_noise(rng: np.random.Generator, kept: np.ndarray) -> np.ndarray:
 
 def _noise(rng: np.random.Generator, along: float, across: float) -> np.ndarray:
     """Noise whose grains are so many pixels along x and across it."""
-    return _filter_noise(rng, _blurs(along, across))
+    return _filter_noise(rng, np.outer(*_blurs(along, across)))
 
 
 def _clouds(rng: np.random.Generator, largest: float, stretch: float = 1.0) -> np.ndarray:
     """Noise of all sizes, from `largest` pixels down, the smaller the fainter."""
-    kept = np.zeros_like(_blurs(1, 1))
+    kept = np.zeros((SIDE, SIDE // 2 + 1))
     strength = 1.0
     size = largest
     while size > 0.7:
-        blur = _blurs(size * stretch, size)
-        kept += strength * blur / np.sqrt((blur**2).sum())
+        down, right = _blurs(size * stretch, size)
+        kept += np.outer(strength / np.sqrt((down**2).sum() * (right**2).sum()) * down, right)
         strength *= 0.55
         size /= 2
     return _filter_noise(rng, kept)
