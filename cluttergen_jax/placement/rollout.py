@@ -320,6 +320,11 @@ class Rollout:
     def _finish_to_host(self, sampler: BlockSampler, episodes: Episode) -> SceneBatch:
         return jax.device_get(self._finish(sampler, episodes))
 
+    def propose(self, sampler: BlockSampler, episodes: Episode) -> np.ndarray:
+        """f32[N, 4], on the host: the actions that are proposed in the episodes of a block."""
+        _, action, *_ = self._propose(sampler, episodes)
+        return np.asarray(action)
+
     def run_all(
         self,
         sampler: BlockSampler,
@@ -481,8 +486,8 @@ class EpisodeRecorder:
         row = index % self.width
         places = index - row + np.arange(self.width)
         steps: list[tuple[Any, Any, Any]] = []
-        look = _all_parts if num_proposals else _picture_parts
-        self.rollouts.setdefault(look, Rollout(look, self.is_constant)).run(
+        rollout = self._rollout(num_proposals)
+        rollout.run(
             self.sampler,
             new_key(seed),
             places,
@@ -529,10 +534,26 @@ class EpisodeRecorder:
         poses = np.where(np.asarray(after.is_placed)[:, None], after.poses, attempt.settled)
         return None if np.array_equal(poses, attempt.settled) else poses
 
+    def _rollout(self, num_proposals: int) -> Rollout:
+        """Who runs the block, and shows of it what is needed."""
+        look = _all_parts if num_proposals else _picture_parts
+        return self.rollouts.setdefault(look, Rollout(look, self.is_constant))
+
     def _proposals(self, before: Any, seed: int, number: int) -> np.ndarray:
         """f32[number, 4] drawn for an episode."""
         keys = jax.random.split(new_key(seed), number)
-        return np.asarray(self._draw(keys, before))
+        if self.width < _AT_ONCE:
+            return np.asarray(self._draw(keys, before))
+        # The block's own program is compiled and traced already.
+        rollout = self._rollout(number)
+        episodes = jax.tree.map(
+            lambda leaf: np.broadcast_to(leaf, (self.width, *leaf.shape)), before
+        )
+        drawn = []
+        for first in range(0, number, self.width):
+            chosen = np.arange(first, first + self.width) % number
+            drawn.append(rollout.propose(self.sampler, episodes.replace(key=keys[chosen])))
+        return np.concatenate(drawn)[:number]
 
     @cached_property
     def _draw(self) -> Any:

@@ -82,11 +82,15 @@ def test_attempts_begin_where_proposed_and_hang_together(problem, recordings):
             np.testing.assert_array_equal(after[there], expected[there])
 
 
-def test_proposals_of_the_last_object_alone_are_those_that_all_attempts_have(problem, sampler):
-    recorder = EpisodeRecorder(sampler, problem.world, WIDTH)
-    whole = recorder.record(7, 0, num_proposals=5)
-    some = recorder.record(7, 0, num_proposals=5, last_only=True)
-    assert all(each.proposals.shape == (5, 4) for each in whole.attempts)
+@pytest.mark.parametrize("width", [WIDTH, 32])
+def test_proposals_of_the_last_object_alone_are_those_that_all_attempts_have(
+    problem, sampler, width
+):
+    recorder = EpisodeRecorder(sampler, problem.world, width)
+    whole = recorder.record(7, 0, num_proposals=40)
+    some = recorder.record(7, 0, num_proposals=40, last_only=True)
+    assert all(each.proposals.shape == (40, 4) for each in whole.attempts)
+    assert all(len(np.unique(each.proposals, axis=0)) == 40 for each in whole.attempts)
     last = some.last_turn(some.attempts[-1].object_index)[0]
     assert [each for each in some.attempts if each.proposals is not None] == [last]
     place = some.attempts.index(last)
