@@ -19,7 +19,6 @@ import numpy as np
 
 from cluttergen_jax.assets.config import DecompositionConfig
 from cluttergen_jax.assets.deviation import deviation, is_within_parts
-from cluttergen_jax.assets.hollow import find_hollow
 from cluttergen_jax.assets.mass import mass_properties
 from cluttergen_jax.assets.merging import (
     ALWAYS,
@@ -464,7 +463,7 @@ def decompositions(
         of_rest = [
             part
             for each in exact.rest
-            for part in _Cut(each, solid, config, jitter).halved(nearness, _REACHES[0])
+            for part in _Cut(each, solid, config, jitter).near_parts(nearness, _REACHES[0])
         ]
         raw = [*exact.parts, *of_rest]
         free = exact.free[~is_within_parts(exact.free, raw)]
@@ -472,28 +471,28 @@ def decompositions(
         sets = _distinct([*merged, *([raw] if len(raw) <= most else [])])
         small = [each for each in sets if len(each) <= enough]
         # More than enough only for the sake of holes, into which a peg may have to go.
-        is_pierced = not small and len(free) > 0 and find_hollow(solid) is None
+        is_pierced = not small and len(free) > 0 and not nearness.is_hollow
         if is_pierced or small:
             yield sets if is_pierced else small
     if enough > FEW:
         config = replace(config, threshold=min(_OPEN_THRESHOLD * config.threshold, 1.0))
     limits = _FINE_LIMITS if config.quality == "fine" else _LIMITS
     cut = _Cut(solid.mesh, solid, config, jitter)
-    parts = cut.halved(nearness, _REACHES[0])
+    parts = cut.near_parts(nearness, _REACHES[0])
     sets = _distinct(merge_parts(parts, nearness, limits, enough, most)) or [one]
     few = [each for each in sets if len(each) <= enough]
     if few:
         yield few
     # Which cuts leave few parts of a can is a matter of luck.
     for other in _others(config) if enough == FEW and len(sets[0]) <= 2 * FEW else ():
-        found = _Cut(solid.mesh, solid, other, jitter).halved(nearness, _REACHES[0])
+        found = _Cut(solid.mesh, solid, other, jitter).near_parts(nearness, _REACHES[0])
         (merged_few,) = merge_parts(found, nearness, limits[:1], enough, most)
         if 0 < len(merged_few) <= enough:
             yield [merged_few]
     if len(few) < len(sets):
         yield sets[len(few) :]
     if len(parts) < _MOST_HALVED:
-        parts = cut.halved(nearness, _REACHES[1])
+        parts = cut.near_parts(nearness, _REACHES[1])
         yield _distinct(merge_parts(parts, nearness, limits, enough, most))
 
 
@@ -545,6 +544,6 @@ class _Cut:
         )
         self._parts = [np.asarray(points, np.float64) for points, _ in found]
 
-    def halved(self, nearness: Nearness, reach: float) -> list[np.ndarray]:
+    def near_parts(self, nearness: Nearness, reach: float) -> list[np.ndarray]:
         """Its parts, f64[V, 3] each, without slivers that Qhull refuses; see `halve_parts`."""
         return halve_parts(self._parts, self._mesh, nearness, reach, _MOST_HALVED)

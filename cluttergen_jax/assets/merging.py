@@ -1,7 +1,7 @@
 """Fewer convex parts that are near enough: those far from a solid are cut in half, neighbours are made one.
 
 What is far is told by `Nearness`, from samples, and is an estimate: a body that is made of the parts is
-measured again (`deviation`). Every number here is a bound on work, so that no shape takes long.
+measured again (`deviation`).
 """
 
 from __future__ import annotations
@@ -51,6 +51,7 @@ class Nearness:
 
     Attributes:
       diagonal: of the solid, metres.
+      is_hollow: the solid has a cavity.
       enough: how many parts the solid needs at most: what is nearly its hull and not hollow 4, else 16.
     """
 
@@ -59,7 +60,8 @@ class Nearness:
         hull = hull_of(solid.mesh.vertices)
         hollow = find_hollow(solid)
         is_full = hull is not None and solid.volume >= _CONVEX_SHARE * hull.volume
-        self.enough = FEW if is_full and hollow is None else _OTHER_PARTS
+        self.is_hollow = hollow is not None
+        self.enough = FEW if is_full and not self.is_hollow else _OTHER_PARTS
         self._cavity = _NOWHERE
         if hollow is not None:
             self._cavity = hollow.points[:: 1 + len(hollow.points) // _NUM_IN_CAVITY]
@@ -234,9 +236,9 @@ class Pairs:
                 continue
             if pair.hull is not None:
                 return pair
-            heapq.heappush(self._heap, self._measured(pair))
+            heapq.heappush(self._heap, self._measure(pair))
         if is_forced and len(self.parts) > 1:
-            self._heap = [self._measured(_Pair(0.0, *both)) for both in combinations(self.parts, 2)]
+            self._heap = [self._measure(_Pair(0.0, *both)) for both in combinations(self.parts, 2)]
             heapq.heapify(self._heap)
             return heapq.heappop(self._heap)
         return None
@@ -248,7 +250,7 @@ class Pairs:
         assert pair.hull is not None
         self.add(pair.hull)
 
-    def _measured(self, pair: _Pair) -> _Pair:
+    def _measure(self, pair: _Pair) -> _Pair:
         points = np.concatenate([self.parts[pair.one], self.parts[pair.other]])
         hull = hull_of(points)
         if hull is None:

@@ -63,14 +63,14 @@ class Plan:
 
     def run(self) -> None:
         """Runs both, and prints the tables."""
-        found = {number: self.measured(number) for number in _MEASURED}
+        found = {number: self.measure(number) for number in _MEASURED}
         report("plan", self.section(found), write=self.write, packages=_PACKAGES)
 
     def bank(self, workers: int) -> Path:
         """The bank that so many workers made."""
         return self.out / f"by_{workers}"
 
-    def measured(self, workers: int) -> Rates:
+    def measure(self, workers: int) -> Rates:
         """What a run with so many workers shows."""
         shutil.rmtree(self.bank(workers), ignore_errors=True)
         options = {
@@ -111,7 +111,7 @@ class Plan:
         )
         derived = table(
             ("workers", "core-hours", "hours", "price", "busy share of the command"),
-            [self.derived(number, one) for number in self.workers],
+            [self.derive(number, one) for number in self.workers],
         )
         intro = prose(
             f"""{self.num_scenes:,} scenes of ten objects of {self.pool} by `{self.method}` on a local Ray
@@ -128,7 +128,7 @@ class Plan:
         end = f"The command writes all blocks: above {most:,.0f} workers they would wait for it."
         return "\n\n".join(("## A million scenes, planned", intro, seen, kept, derived, end))
 
-    def derived(self, workers: int, one: Rates) -> tuple[str, ...]:
+    def derive(self, workers: int, one: Rates) -> tuple[str, ...]:
         """A row: what so many workers take if each is as fast as one alone."""
         own = self.num_planned * one.driver
         seconds = max(self.num_planned / (one.a_core_second * workers), own)

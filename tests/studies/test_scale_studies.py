@@ -51,7 +51,7 @@ def test_rates_leave_out_the_start_and_the_end():
 
 def test_workers_beyond_what_one_command_writes_for_make_nothing_faster():
     rates = Rates(a_second=10, a_core_second=10, driver=0.001)
-    rows = [Plan().derived(number, rates) for number in (1, 50, 100, 200)]
+    rows = [Plan().derive(number, rates) for number in (1, 50, 100, 200)]
     assert [row[2] for row in rows] == ["27.78", "0.56", "0.28", "0.28"]
     assert [row[1] for row in rows] == ["27.8", "27.8", "27.8", "55.6"]
     assert rows[-1][-1] == "100.0%"
