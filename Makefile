@@ -14,7 +14,7 @@ CODE = cluttergen_jax tests studies docs examples scenes $(wildcard reports) $(w
 INSTALL = $(RUN)/pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-wheel lint dist docs images format scenes bench clean prerequisites
+.PHONY: help demo test test-all test-wheel lint dist reports docs images format scenes bench clean prerequisites
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 14
@@ -60,6 +60,10 @@ lint: $(VENV)/.dev ## ruff, mypy, undeclared dependencies and the import contrac
 $(VENV)/.docs: $(VENV)/.dev
 	$(INSTALL) -e '.[dev,ycb,ray,docs]'
 	@touch $@
+
+reports: $(VENV)/.dev ## write the pages of results from their rows, and list rows that a change may have moved
+	$(RUN)/python -m studies.make_results
+	$(RUN)/python -m studies.stale
 
 docs: $(VENV)/.docs ## build the documentation in out/site; a broken link is an error
 	$(RUN)/mkdocs build --strict

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 # The words of settings stand where nothing heavy is imported: the command line offers them as choices.
 Method = Literal[
     "random",
+    "settle",
     "clear",
     "drop",
     "spread",
@@ -29,10 +30,13 @@ Method = Literal[
     "short_memory",
 ]
 """What is known of each stands in `placement.methods.table`."""
+SETTLE = "settle"
 # Ways to clutter that are no rivals of the others and stand in no table: objects shoulder to shoulder; and
 # all objects of a scene let fall into a heap, which the native engine makes whole.
 PACKED = "packed"
 PILE = "pile"
+Together = Literal["pile", "crowd", "drop"]
+"""How the native engine makes a scene as a whole: a heap, objects drawn together, or dropped one by one."""
 
 PILE_NOSLIP = 4
 """No-slip iterations of piles. Without them friction yields a little, and some heaps slide after seconds."""

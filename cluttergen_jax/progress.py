@@ -83,7 +83,7 @@ class Progress:
             file=self._file,
             disable=self._is_log or not total,
         )
-        self._started = self._last_line = clock()
+        self._started = self._timed_from = self._last_line = clock()
         self._note = ""
         self._lock = threading.Lock()
         self._ticker: _Ticker | None = None
@@ -121,6 +121,13 @@ class Progress:
             passed = time_text(self._clock() - self._started)
             self.say(f"{self.title}: {self.done} of {self.total} {self.unit}s done in {passed}")
 
+    def begin_timing(self) -> None:
+        """From now on time counts: what is done so far was compiled first, which says nothing of the rest."""
+        self.kept = self.done
+        self._timed_from = self._clock()
+        self._bar.initial = self._bar.n
+        self._bar.start_t = time.time()
+
     def update(self, number: int = 1, note: str = "") -> None:
         """So many more are done; a note stands beside the bar, and in a log's lines."""
         self.done += number
@@ -151,12 +158,13 @@ class Progress:
         """How long it has taken, and at this pace still takes."""
         passed = self._clock() - self._started
         made = self.done - self.kept
-        left = f", {time_text(passed / made * (self.total - self.done))} left" if made else ""
+        pace = (self._clock() - self._timed_from) / made if made else 0.0
+        left = f", {time_text(pace * (self.total - self.done))} left" if made else ""
         return f"{passed_text(passed)} passed{left}"
 
     def rate(self, more: int = 0) -> float:
         """How many have been done in a second so far, `more` included that are not counted yet."""
-        return (self.done + more - self.kept) / max(self._clock() - self._started, 1e-9)
+        return (self.done + more - self.kept) / max(self._clock() - self._timed_from, 1e-9)
 
     def rename(self, title: str) -> None:
         """From now on something else is done."""

@@ -499,9 +499,10 @@ class SceneSpec(PlacementRequest):
         is_ordered = is_default and entry_of(method).is_ordered
         order: Order = "weighted" if is_ordered else "random"
         patience = RUIN_AFTER_PACKED if entry_of(method).limits_stack else RUIN_AFTER
-        ruin_after = min(patience, self.max_attempts) if is_ordered else 0
+        can_take_away = is_ordered and not entry_of(method).is_whole
+        ruin_after = min(patience, self.max_attempts) if can_take_away else 0
         # In a heap things lean on walls and on each other.
-        is_heap = entry_of(method).is_whole or self._asks_to_lean()
+        is_heap = entry_of(method).is_heap or self._asks_to_lean()
         usual = MIN_MARGIN if is_default and not is_heap else 0.0
         min_margin = usual if self.for_engine is None else MARGIN_FOR[self.for_engine]
         usual_rules = {"order": order, "ruin_after": ruin_after, "min_margin": min_margin}
@@ -553,7 +554,8 @@ class SceneSpec(PlacementRequest):
             raise ConfigError(given, f"with {' or '.join(known)}", f"method={known[0]!r}")
         if not entry.is_whole:
             return
-        needing_steps = ("keep_out", "start", "ruin_after", "min_margin", "robust", "for_engine")
+        needing_steps = ["keep_out", "start", "ruin_after", "robust"]
+        needing_steps += ["min_margin", "for_engine"] if entry.is_heap else []
         is_asked = {name: bool(getattr(self, name)) for name in needing_steps}
         region = self.region if isinstance(self.region, str) else ""
         is_asked["region"] = region == "outline" or ";" in region
@@ -564,8 +566,7 @@ class SceneSpec(PlacementRequest):
         if wanted:
             value = getattr(self, wanted[0])
             raise ConfigError(
-                f"{wanted[0]} = {value!r} with method {str(method)!r}, "
-                "which lets all objects fall into a heap",
+                f"{wanted[0]} = {value!r} with method {str(method)!r}, which makes each scene at once",
                 "leaving it out",
                 f"method={TRUSTED[0]!r}, which places one object after another",
             )
@@ -590,7 +591,7 @@ class SceneSpec(PlacementRequest):
             return
         several = self.surface == "all" or bool({*",:"} & {*self.surface})
         reasons = {
-            "method='pile', which is a heap already": entry.is_whole,
+            f"method={str(self.method)!r}, which makes each scene at once": entry.is_whole,
             f"engine={self.engine!r}, which draws nothing together": self.engine in ("warp", "jax"),
             "a scene to start from, whose objects stay": self.start is not None,
             f"surface={self.surface!r}, between which nothing is drawn": several,
@@ -736,8 +737,8 @@ class SceneSpec(PlacementRequest):
             # All begin again where one finds no room.
             decided["budget"] = _MORE_PACKED * num_objects * self.max_attempts
         placement = self._placement(num_objects, decided)
-        is_heap = entry.is_whole or self._asks_to_lean()
-        is_native = is_heap or placement.crowd_targets is not None
+        is_heap = entry.is_heap or self._asks_to_lean()
+        is_native = entry.is_whole or is_heap or placement.crowd_targets is not None
         engine: Engine = "native" if is_native else self.engine
         has_two_detectors = engine_of(engine, stability) == "native"
         config = ProblemConfig(
@@ -752,7 +753,8 @@ class SceneSpec(PlacementRequest):
             surface=self.surface,
             region=region,
             polygon=polygon,
-            is_piled=entry.is_whole,
+            is_whole=entry.is_whole,
+            is_piled=entry.is_heap,
             engine=engine,
             num_threads=self.num_threads,
             placement=placement,

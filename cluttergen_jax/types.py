@@ -151,7 +151,9 @@ class Piling(struct.PyTreeNode):
         than the highest of the objects that carry it and whose centre of mass is lower.
       num_beside: i32, pairs of objects that touch from the side; num_leaning: i32, objects that lean, counted
         where objects were drawn together (`physics.crowds`); is_left_out: bool[K], those that tipped over or
-        left the region meanwhile: the others stand without them; margin: f32[K], metres, how well they do.
+        left the region meanwhile, or found no place: the others stand without them; margin: f32[K], metres,
+        how well they do.
+      rejected: i32[13], attempts by why they were taken back (`Verdict`), where objects came one by one.
     """
 
     verdict: Array
@@ -168,6 +170,7 @@ class Piling(struct.PyTreeNode):
     num_leaning: Array
     is_left_out: Array
     margin: Array
+    rejected: Array
 
 
 def small_length(metres: float) -> str:

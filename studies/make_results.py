@@ -1,4 +1,6 @@
-"""Writes reports/results.md from the JSON files in reports/results, and reports/missed.md below them.
+"""Writes reports/results.md and the tables of the READMEs from the JSON files in reports/results.
+
+Below the page stands reports/missed.md.
 
 python -m studies.make_results                          from what is there
 python -m studies.make_results out/paper out/extended   after taking over what those suites made
@@ -17,6 +19,7 @@ from tempfile import TemporaryDirectory
 
 from cluttergen_jax.evaluation.store import json_bytes
 from cluttergen_jax.files import write_atomically
+from studies.pages import write_pages
 from studies.report import (
     document,
     read_results,
@@ -59,6 +62,7 @@ def main() -> None:
         take_over(folder, asked.keep_rows)
     results = read_results(FOLDER)
     PAGE.write_text(document(results, NOTES.read_text(encoding="utf-8")), encoding="utf-8")
+    write_pages(results)
     print(f"{PAGE}: {len(results)} studies")
 
 

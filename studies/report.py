@@ -85,7 +85,8 @@ def _how_made(result: Result) -> tuple[str, str, str]:
 def _when_and_where(origin: RunInfo | Result) -> tuple[str, str]:
     if origin["machine"] is None:
         return "", "kept by an older version, which did not note when and where it made them"
-    return origin["date"] or "", f"on {sentence(origin['machine'])}"
+    commit = f" at {origin['commit']}" if origin.get("commit") else ""
+    return origin["date"] or "", f"on {sentence(origin['machine'])}{commit}"
 
 
 def with_earlier_rows(result: Result, earlier: Result) -> Result:
@@ -121,7 +122,7 @@ def with_earlier_rows(result: Result, earlier: Result) -> Result:
     if len(rows) == len(made):
         return result
     order = list(dict.fromkeys(row["trial"].get("pool") for row in rows.values()))
-    names = ("command", "trials", "date", "machine", "also_made")
+    names = ("command", "trials", "date", "machine", "commit", "also_made")
     origin: Any = {name: values_of(earlier)[name] for name in names if name in earlier}
     return result | Result(
         records=sorted(rows.values(), key=lambda row: order.index(row["trial"].get("pool"))),

@@ -31,6 +31,7 @@ class Result(TypedDict, total=False):
     trials: list[int]
     date: str | None
     machine: Machine | None
+    commit: str | None
     also_made: list[RunInfo]
     records: list[Row]
     measure: Measured | None
@@ -51,24 +52,34 @@ def origins_of(made: Iterable[Row]) -> list[RunInfo]:
       made: things with what `origin` said of them; those that older versions kept lack it.
 
     Returns:
-      `date`, a day or "FIRST to LAST", and `machine`; both None, and last, for things that lack them.
+      `date`, a day or "FIRST to LAST", `machine`, and `commit`, all of them in a row; None, and last, for
+      things that lack them.
     """
     machines: dict[str, Machine] = {}
     days: dict[str, list[str]] = {}
+    commits: dict[str, dict[str, None]] = {}
     unknown: list[RunInfo] = []
     for each in made:
         if "machine" in each:
             name = json.dumps(each["machine"], sort_keys=True)
             machines.setdefault(name, each["machine"])
             days.setdefault(name, []).append(each["date"])
+            commits.setdefault(name, {})[each.get("commit") or ""] = None
         else:
-            unknown = [{"date": None, "machine": None}]
+            unknown = [{"date": None, "machine": None, "commit": None}]
     latest_first = sorted(days, key=lambda name: max(days[name]), reverse=True)
     spans = {
         name: " to ".join(dict.fromkeys((min(days[name]), max(days[name]))))
         for name in latest_first
     }
-    return [RunInfo(date=span, machine=machines[name]) for name, span in spans.items()] + unknown
+    return [
+        RunInfo(
+            date=span,
+            machine=machines[name],
+            commit=", ".join(filter(None, commits[name])) or None,
+        )
+        for name, span in spans.items()
+    ] + unknown
 
 
 def sentence(facts: Machine) -> str:

@@ -25,7 +25,18 @@ from studies.results import Measured, Result, made_rows, origins_of
 from studies.study import Findings, Study
 from studies.suites import PlannedStudy
 
-_SHOWN = ("trial", "policy", "figures", "missing", "hint")
+_SHOWN = (
+    "trial",
+    "sources",
+    "policy",
+    "rules",
+    "first",
+    "date",
+    "commit",
+    "figures",
+    "missing",
+    "hint",
+)
 Show = Callable[[Result], None]
 
 

@@ -20,6 +20,7 @@ from studies.downstream.trained import (
 from studies.methods.clutter_targets import CLUTTER_TARGETS
 from studies.methods.density import CROWDS, DENSITY
 from studies.methods.diversity import ACCEPTANCE, DIVERSITY, DIVERSITY_MAPS
+from studies.methods.front import FRONT
 from studies.methods.held_out import HELD_OUT_OBJECTS
 from studies.methods.paper_figures import (
     ATTEMPTS,
@@ -60,6 +61,7 @@ SUITES: dict[str, tuple[Study, ...]] = {
         RELATIONS,
     ),
     "extended": (
+        FRONT,
         DENSITY,
         CROWDS,
         HELD_OUT_OBJECTS,

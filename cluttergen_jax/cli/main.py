@@ -191,8 +191,9 @@ def run(command: Any) -> int:
     except OSError as error:
         print(f"error: {printable(_os_error_text(error))}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print(f"\nstopped; {command.told_when_stopped}", file=sys.stderr)
+    except KeyboardInterrupt as stop:
+        # One that was raised where everything is saved may say what is left.
+        print(f"\nstopped; {str(stop) or command.told_when_stopped}", file=sys.stderr)
         return INTERRUPTED
 
 

@@ -63,10 +63,10 @@ def evaluate(
     rules are not given each method has its own.
 
     Args:
-      methods: "random", "clear", "drop", "spread", "guided", "packed", "pile", and policies trained for the
-        pool: "policy", "beta_free", "normal", "open_loop" or "short_memory"; or your own, as the `method` of
-        a `SceneSpec`. If not given: the first five, and "policy" where one is embedded, of these all that can
-        make what is asked for.
+      methods: "random", "settle", "clear", "drop", "spread", "guided", "packed", "pile", and policies
+        trained for the pool: "policy", "beta_free", "normal", "open_loop" or "short_memory"; or your own, as
+        the `method` of a `SceneSpec`. If not given: the first six, and "policy" where one is embedded, of
+        these all that can make what is asked for.
       pools: names or folders, or several joined by +; dining if not given.
       supports: names or folders; "table-0.40x0.50" is a cuboid of that size, all of it the queried region.
       spec: what is asked for; its pool, support and method are rows where `pools`, `supports` and `methods`

@@ -6,6 +6,7 @@ import csv
 import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.store import json_bytes
 from cluttergen_jax.evaluation.trial import Trial, trial_of
 from cluttergen_jax.files import write_atomically
+from cluttergen_jax.plots import colour, grid_of_panels, prepare, save
 from cluttergen_jax.tables import Table
 
 _FIGURES = (
@@ -178,14 +180,45 @@ def name_of(row: Row) -> str:
 def table_of(
     title: str, columns: Sequence[Column], rows: Iterable[Row], notes: Iterable[str] = ()
 ) -> Table:
-    """A line for each row; where figures are missing it has dashes, and a note below says why."""
+    """A line for each row; where figures are missing it has dashes, and a note below says why.
+
+    What rows were trained with, may use and are asked for stands in a column of its own where they differ
+    in it (`_FACTS`): no table compares unequal budgets or rules without saying so.
+    """
     rows = list(rows)
+    place = next((at for at, each in enumerate(columns) if not each.is_asked), len(columns))
+    columns = [*columns[:place], *_differing(columns, rows), *columns[place:]]
     lines = (
         tuple(each.cell(row) if "missing" not in row or each.is_asked else "-" for each in columns)
         for row in rows
     )
     why = dict.fromkeys(missing(row) for row in rows if "missing" in row)
     return Table(title, tuple(each.heading for each in columns), tuple(lines), (*notes, *why))
+
+
+_FACTS: dict[str, Callable[[Row], Any]] = {
+    "training attempts": lambda row: (row.get("policy") or {}).get("attempts"),
+    "budget": lambda row: row.get("rules", row["trial"]).get("budget"),
+    "margin, mm": lambda row: 1e3 * (row["trial"].get("min_margin") or 0.0),
+}
+"""What makes rows unequal beside their method's own way, by the heading of the column that says it."""
+
+
+def _differing(columns: Sequence[Column], rows: Sequence[Row]) -> list[Column]:
+    """Columns of the facts in which rows with figures differ and which no column shows."""
+    shown = {column.heading for column in columns}
+    made = [row for row in rows if "trial" in row and "figures" in row]
+
+    def cell(row: Row, fact: Callable[[Row], Any]) -> str:
+        value = fact(row)
+        return "-" if value is None else f"{value:,g}" if value < 1e4 else f"{value:,.0f}"
+
+    found = []
+    for heading, fact in _FACTS.items():
+        values = {fact(row) for row in made} - {None}
+        if len(values) > 1 and heading not in shown:
+            found.append(Column(heading, partial(cell, fact=fact)))
+    return found
 
 
 def share(value: float | None) -> str:
@@ -232,72 +265,3 @@ def missing(row: Row) -> str:
     request = request_of(row)
     named = [str(request[name]) for name in ("pool", "support", "method") if name in request]
     return f"{', '.join(named)}: {row['missing']}" if named else row["missing"]
-
-
-COLOURS = {
-    "random": "#8a8f98",
-    "clear": "#4d9078",
-    "drop": "#2f5d62",
-    "open_loop": "#c9a227",
-    "short_memory": "#b5651d",
-    "normal": "#7b5ea7",
-    "beta_free": "#e07b39",
-    "policy": "#c8102e",
-    "spread": "#17a2a2",
-    "guided": "#1f3fb4",
-}
-"""Of methods, the same in every plot."""
-
-
-def colour(name: str) -> str:
-    """The colour of a row's method; black for one that has none."""
-    return COLOURS.get(method_of(name), "#111111")
-
-
-def method_of(name: str) -> str:
-    """Of what tables call a row (`trial.row_name`)."""
-    return name.partition(", ")[0]
-
-
-def new_figure(width: float, height: float) -> Any:
-    """An empty figure, sides in inches."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def save(figure: Any, stem: Path, endings: tuple[str, ...] = ("png", "pdf")) -> list[str]:
-    """Writes STEM.png and STEM.pdf, or what else is asked for; returns their names."""
-    names = []
-    for ending in endings:
-        buffer = io.BytesIO()
-        # Without a date, equal plots are equal files.
-        metadata = {"CreationDate": None} if ending == "pdf" else {"Software": None}
-        figure.savefig(buffer, format=ending, dpi=130, metadata=metadata)
-        path = stem.with_name(f"{stem.name}.{ending}")
-        write_atomically(path, buffer.getvalue())
-        names.append(path.name)
-    return names
-
-
-def prepare(axis: Any, title: str, x: str, y: str = "") -> None:
-    """The look that all panels share."""
-    axis.set_title(title, fontsize=9)
-    axis.set_xlabel(x, fontsize=8)
-    axis.set_ylabel(y, fontsize=8)
-    axis.tick_params(labelsize=7)
-    axis.grid(alpha=0.25, linewidth=0.6)
-
-
-def grid_of_panels(number: int, columns: int, width: float, height: float) -> tuple[Any, list[Any]]:
-    """A figure of `number` panels in rows of `columns`, each so many inches large."""
-    columns = min(columns, number)
-    rows = -(-number // columns)
-    figure = new_figure(columns * width, rows * height)
-    axes = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
-    for axis in axes[number:]:
-        axis.set_visible(False)
-    return figure, axes[:number]

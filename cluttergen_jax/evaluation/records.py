@@ -1,12 +1,15 @@
-"""What evaluation stores as JSON: rows of trials and of findings; when, where and by what they were made."""
+"""What evaluation stores as JSON: rows and findings; when, where and by which code they were made."""
 
 from __future__ import annotations
 
 import datetime
+import json
 import os
 import platform
+import subprocess
 from collections.abc import Mapping
-from importlib.metadata import version
+from functools import cache
+from importlib.metadata import PackageNotFoundError, distribution, version
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -28,11 +31,12 @@ class Machine(TypedDict):
     versions: dict[str, str]
 
 
-class RunInfo(TypedDict):
-    """When and where something was made; None where an older version did not note it."""
+class RunInfo(TypedDict, total=False):
+    """When, where and by which code something was made; None where an older version did not note it."""
 
     date: str | None
     machine: Machine | None
+    commit: str | None
 
 
 class Figures(TypedDict, total=False):
@@ -78,9 +82,12 @@ class Row(TypedDict, total=False):
     trial: Mapping[str, Any]
     sources: Mapping[str, Any]
     policy: Mapping[str, Any] | None
+    rules: Mapping[str, Any]
+    first: Mapping[str, list[int]]
     figures: Figures
     date: str
     machine: Machine
+    commit: str | None
     missing: str
     hint: str
     # Of findings: what the trial asked, and what was found.
@@ -161,8 +168,49 @@ def machine() -> Machine:
 
 
 def origin() -> RunInfo:
-    """When and where something is made: `date` and `machine` of now and here."""
-    return {"date": datetime.datetime.now(datetime.UTC).date().isoformat(), "machine": machine()}
+    """When, where and by which code something is made: `date`, `machine` and `commit` of now and here."""
+    return {
+        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
+        "machine": machine(),
+        "commit": commit_of_here(),
+    }
+
+
+CODE = ("cluttergen_jax", "scenes", "studies", "pyproject.toml", "constraints.txt")
+"""Folders and files of the repository that decide results."""
+CHANGED = "+changes"
+"""After a commit: files of `CODE` differ from it."""
+
+
+@cache
+def commit_of_here() -> str | None:
+    """The commit of the code that runs, 12 hex digits, with `CHANGED` after it; None where nobody knows.
+
+    It is that of the repository around the package, or the one that was installed.
+    """
+    root = Path(__file__).parents[2]
+    if (root / ".git").exists():
+        commit = _git(root, "rev-parse", "--short=12", "HEAD")
+        if commit is None:
+            return None
+        return commit + (CHANGED if _git(root, "status", "--porcelain", "--", *CODE) else "")
+    try:
+        told = distribution("cluttergen_jax").read_text("direct_url.json")
+    except PackageNotFoundError:
+        told = None
+    commit = json.loads(told or "{}").get("vcs_info", {}).get("commit_id")
+    return commit[:12] if commit else None
+
+
+def _git(root: Path, *words: str) -> str | None:
+    """What git says; None where it is not there, or fails."""
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(root), *words], capture_output=True, text=True, timeout=60
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() if done.returncode == 0 else None
 
 
 def cpu_model() -> str:

@@ -276,6 +276,18 @@ class ResolvedTrial:
         return record.get("stability", {}).get("stop_when_decided", True)
 
     @property
+    def rules(self) -> Mapping[str, Any]:
+        """What its scenes are made by, all defaults decided."""
+        placement = self.config.placement
+        return {
+            "max_attempts": placement.max_attempts,
+            "budget": placement.max_scene_attempts,
+            "order": placement.order,
+            "ruin_after": placement.ruin_after,
+            "min_margin": placement.min_margin,
+        }
+
+    @property
     def policy(self) -> Mapping[str, Any] | None:
         """What a row says of how its policy was trained; None for a baseline."""
         if self.checkpoint is None:

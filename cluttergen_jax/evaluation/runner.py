@@ -134,7 +134,8 @@ class Runner:
 
         Returns:
           `trial`, `sources`, `policy`, `figures` (`figures_of`; `paper` among them is the looser
-          count), and `date` and `machine` of its making, which rows of older versions lack; or `trial`,
+          count), `rules` with all defaults decided, `first` scenes (`first_of`), and `date`, `machine` and
+          `commit` of its making, which rows of older versions lack; or `trial`,
           `missing` and `hint` if it cannot be made: its checkpoint is missing, its pool has too few objects.
         """
         known = self.stored_row(trial)
@@ -168,6 +169,8 @@ class Runner:
             "trial": resolved.trial.record(),
             "sources": resolved.sources,
             "policy": resolved.policy,
+            "rules": resolved.rules,
+            "first": first_of(strict.scenes),
             **origin(),  # type: ignore[typeddict-item]
             "figures": figures,
         }
@@ -259,7 +262,7 @@ class Runner:
         known = None if self.is_fresh else self.store.read(title, key)
         if known is not None:
             self.measured_at.append(
-                {name: known[name] for name in ("date", "machine") if name in known}
+                {name: known[name] for name in ("date", "machine", "commit") if name in known}
             )
             return known["figures"]
         self.begin(title)
@@ -286,6 +289,24 @@ class Runner:
             return self._sampler_of(resolved, setup, config.stability), shelves.numbers(names)
 
         return run_shelves(self.rollout, block, trial.trials, trial.seed, self.progress.update)
+
+    def first_scenes(self, trial: Trial) -> dict[str, list[int]]:
+        """What becomes of a trial's first scenes now, whatever was kept, among as many as its row's were.
+
+        Raises:
+          ConfigError: its blocks have objects of their own.
+          ClutterGenError: it cannot be made.
+        """
+        resolved = self.resolve(trial)
+        if self._config(resolved).shelf:
+            raise ConfigError(
+                f"first scenes of {trial.title}", "rows whose objects are the same in all blocks"
+            )
+        place = np.arange(width_of(trial.trials))
+        number = min(NUM_FIRST, trial.trials)
+        sampler = self.sampler(resolved)
+        scenes = self.rollout.run(sampler, new_key(trial.seed), place, place < number)
+        return first_of(jax.tree.map(lambda leaf: leaf[:number], scenes))
 
     def sampler(self, resolved: ResolvedTrial, judge_neighbours: bool = True) -> BlockSampler:
         """The trial's method in its setup.
@@ -679,6 +700,19 @@ def figures_of(outcome: EpisodeOutcomes, has_last_check: bool = True) -> Figures
         "compile_seconds": outcome.compile_seconds,
         "valid_scenes_per_second": valid / outcome.seconds,
         "valid_scenes_per_cpu_second": valid / outcome.cpu_seconds if outcome.cpu_seconds else None,
+    }
+
+
+NUM_FIRST = 16
+"""Scenes of a row by which it is seen whether a later version makes the same ones."""
+
+
+def first_of(scenes: SceneBatch) -> dict[str, list[int]]:
+    """What became of the first scenes: attempts of each, objects placed, and whether it succeeded."""
+    return {
+        "attempts": scenes.counts.attempts.sum(1)[:NUM_FIRST].tolist(),
+        "placed": scenes.is_placed.sum(1)[:NUM_FIRST].tolist(),
+        "success": scenes.is_success[:NUM_FIRST].astype(int).tolist(),
     }
 
 

@@ -205,14 +205,15 @@ class Trial:
     def row_name(self) -> str:
         """What tables call its row: its method, and what sets its rules apart from that method's own."""
         spec = self.spec
-        is_trusted = entry_of(self.method).is_trusted
+        entry = entry_of(self.method)
         is_ruined = bool(spec.ruin_after)
-        own, other = ("weighted", "random") if is_trusted else ("random", "weighted")
-        if is_ruined != is_trusted and spec.order == other:
+        takes_away = entry.is_ordered and not entry.is_whole
+        own, other = ("weighted", "random") if entry.is_ordered else ("random", "weighted")
+        if is_ruined != takes_away and spec.order == other:
             words = [RUIN if is_ruined else RANDOM_ORDER]
         else:
             words = [f"order {spec.order}"] if spec.order != own else []
-            words += [f"ruin after {spec.ruin_after}"] if is_ruined != is_trusted else []
+            words += [f"ruin after {spec.ruin_after}"] if is_ruined != takes_away else []
         return ", ".join([self.method, *words, *self._extra_rules])
 
     @property

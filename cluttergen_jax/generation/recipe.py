@@ -40,7 +40,7 @@ def recipe_of(
     """
     config = dataclasses.asdict(problem.config)
     # None decides a scene: threads do not, every scene of a bank has the same region, and the method is told.
-    for name in ("num_threads", "change", "is_piled", "named"):
+    for name in ("num_threads", "change", "is_whole", "is_piled", "named"):
         config.pop(name)
     # Nor is anything drawn where there is no shelf, as in banks of before there were any.
     for name in ("shelf", "weights", "balance", "surface", "polygon"):
@@ -82,6 +82,7 @@ def problem_of_recipe(recipe: Recipe, path: Path) -> ProblemConfig:
     Raises:
       KeyError, TypeError, ValueError: the recipe does not say it whole, as of banks of early versions.
     """
+    entry = entry_of(recipe.get("method"))
     return ProblemConfig(
         pool=recipe["pool"],
         repeat=True,
@@ -90,7 +91,8 @@ def problem_of_recipe(recipe: Recipe, path: Path) -> ProblemConfig:
         balance=recipe.get("balance", ""),
         region=recorded_rectangle(recipe["region"]),
         polygon=recorded_ring(recipe.get("polygon", ())),
-        is_piled=entry_of(recipe.get("method")).is_whole,
+        is_whole=entry.is_whole,
+        is_piled=entry.is_heap,
         engine=recipe.get("engine", "auto"),
         placement=config_of(PlacementConfig, recipe["placement"], path),
         stability=config_of(StabilityConfig, recipe["stability"], path),

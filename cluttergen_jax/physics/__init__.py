@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from cluttergen_jax.lazy import offer
 
 if TYPE_CHECKING:
-    from cluttergen_jax.physics.engines import engine_of, make_physics
+    from cluttergen_jax.physics.engines import engine_of, make_physics, step_seconds
     from cluttergen_jax.physics.mjx_pairs import faces_first, soften_contacts
     from cluttergen_jax.physics.paper_count import PaperCount
     from cluttergen_jax.physics.stability import Verdict
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 __getattr__, __all__ = offer(
     __name__,
     {
-        "engines": ("engine_of", "make_physics"),
+        "engines": ("engine_of", "make_physics", "step_seconds"),
         "mjx_pairs": ("faces_first", "soften_contacts"),
         "paper_count": ("PaperCount",),
         "stability": ("Verdict",),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import jax
 
 from cluttergen_jax.config import StabilityConfig, check_engine
@@ -21,8 +23,8 @@ def make_physics(
       layout: the compiled world.
       config: when an object stands still.
       engine: "native" (MuJoCo's C engine), "warp" (MJX on an NVIDIA GPU, slowly on a CPU), "jax" (MJX in
-        pure JAX, for few simple objects), or "auto": warp where JAX runs on an NVIDIA GPU, else native;
-        native alone knows `config.robust_tilt`, and `config.both_detectors`: MJX has one detector.
+        pure JAX, for few simple objects), or "auto" (`engine_of`); native alone knows `config.robust_tilt`,
+        and `config.both_detectors`: MJX has one detector.
       num_threads: threads of the native engine; 0 takes every core.
 
     Raises:
@@ -45,8 +47,17 @@ def make_physics(
     return MjxPhysics(layout, config, engine)
 
 
-def engine_of(engine: str, config: StabilityConfig) -> str:
+def engine_of(
+    engine: str, config: StabilityConfig, lanes: int | None = None, num_threads: int = 0
+) -> str:
     """The engine that is meant: what "auto" stands for on this machine, and every other name itself.
+
+    "auto" is warp where JAX runs on an NVIDIA GPU and scenes are not robust, unless so few are simulated side
+    by side that the cores here are quicker; else native.
+
+    Args:
+      lanes: scenes side by side; None for many.
+      num_threads: of the native engine; 0 takes every core.
 
     Raises:
       ConfigError: there is none of that name.
@@ -54,5 +65,35 @@ def engine_of(engine: str, config: StabilityConfig) -> str:
     check_engine(engine)
     if engine != "auto":
         return engine
-    is_gpu = jax.default_backend() == "gpu"
-    return "warp" if is_gpu and not config.robust_tilt else "native"
+    if config.robust_tilt or not has_nvidia():
+        return "native"
+    if lanes is None:
+        return "warp"
+    return min(("warp", "native"), key=lambda each: step_seconds(each, lanes, num_threads))
+
+
+def has_nvidia() -> bool:
+    """Whether JAX runs on an NVIDIA GPU; a GPU of another maker runs JAX, but not Warp."""
+    if jax.default_backend() != "gpu":
+        return False
+    return "rocm" not in jax.devices()[0].client.platform_version.lower()
+
+
+# By `python -m studies.benchmarks.gpu` (reports/benchmarks.md): ten dining objects on an H100 and on one core
+# of its Xeon. A step of few scenes takes a GPU as long as one of many.
+_NATIVE_STEPS = 6_000
+_WARP_STEPS = 850_000
+_WARP_STEP_SECONDS = 0.0017
+
+
+def step_seconds(engine: str, lanes: int, num_threads: int = 0) -> float:
+    """Seconds that one step of ten objects takes in all of some scenes side by side, as was measured.
+
+    Args:
+      engine: "native", or "warp" on a large GPU.
+      lanes: scenes side by side.
+      num_threads: of the native engine; 0 takes every core.
+    """
+    if engine == "native":
+        return lanes / (_NATIVE_STEPS * (num_threads or os.cpu_count() or 1))
+    return max(_WARP_STEP_SECONDS, lanes / _WARP_STEPS)

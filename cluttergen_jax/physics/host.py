@@ -16,7 +16,7 @@ import numpy as np
 from jax.custom_batching import custom_vmap
 from jax.experimental.buffer_callback import buffer_callback
 
-from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.config import StabilityConfig, Together
 from cluttergen_jax.geometry import rotate
 from cluttergen_jax.progress import COMPILING
 from cluttergen_jax.types import Array, Closing, Piling, Settling, Standing, Verdict
@@ -134,6 +134,7 @@ def empty_piling(xp: Any, batch: tuple[int, ...], num_objects: int) -> Piling:
         num_leaning=zeros(xp.int32),
         is_left_out=zeros(xp.bool, num_objects),
         margin=zeros(xp.float32, num_objects),
+        rejected=zeros(xp.int32, int(Verdict.BLOCKED) + 1),
     )
 
 
@@ -234,12 +235,8 @@ class BatchEngine(Protocol):
         """`Physics.stand` for each of them."""
         ...
 
-    def pile_batch(self, *arrays: np.ndarray) -> Piling:
-        """`HostPhysics.pile` for each of them."""
-        ...
-
-    def crowd_batch(self, *arrays: np.ndarray) -> Piling:
-        """`HostPhysics.crowd` for each of them."""
+    def make_batch(self, how: Together, *arrays: np.ndarray) -> Piling:
+        """`HostPhysics.make` for each of them."""
         ...
 
     def free(self) -> None:
@@ -263,29 +260,19 @@ class HostPhysics(OneScenePhysics):
         settle = host_function(self.settle_batch, settling)
         super().__init__(config, settle, host_function(self.stand_batch, standing))
 
-    def pile(self, *asked: Array) -> Piling:
-        """One pile.
+    def make(self, how: Together, *asked: Array) -> Piling:
+        """One scene that is made as a whole.
 
         Args:
-          asked: the arrays of a `physics.piles.PileRequest` for one scene, and bool, whether it is active.
+          how: which of the makers.
+          asked: the arrays of its request for one scene (`physics.piles.PileRequest`,
+            `physics.crowds.CrowdRequest`, `physics.drops.DropRequest`), and bool, whether it is active.
         """
-        return host_function(self.pile_batch, self._piling)(*asked)
+        return host_function(partial(self.make_batch, how), self._piling)(*asked)
 
-    def pile_batch(self, *arrays: np.ndarray) -> Piling:
-        """`pile` for N scenes held in NumPy arrays with one leading axis."""
-        raise NotImplementedError(f"{type(self).__name__} makes no piles")
-
-    def crowd(self, *asked: Array) -> Piling:
-        """The objects of one scene drawn together.
-
-        Args:
-          asked: the arrays of a `physics.crowds.CrowdRequest` for one scene, and bool, whether it is active.
-        """
-        return host_function(self.crowd_batch, self._piling)(*asked)
-
-    def crowd_batch(self, *arrays: np.ndarray) -> Piling:
-        """`crowd` for N scenes held in NumPy arrays with one leading axis."""
-        raise NotImplementedError(f"{type(self).__name__} makes no crowds")
+    def make_batch(self, how: Together, *arrays: np.ndarray) -> Piling:
+        """`make` for N scenes held in NumPy arrays with one leading axis."""
+        raise NotImplementedError(f"{type(self).__name__} makes no whole scenes ({how})")
 
 
 class NumberedEngines:
@@ -313,12 +300,19 @@ class NumberedEngines:
         settling, standing, piling = _report_shapes(num_objects, config, num_doors)
         self.settle_one = host_function(partial(self._batch, "settle_batch"), settling)
         self.stand_one = host_function(partial(self._batch, "stand_batch"), standing)
-        self.pile_one = host_function(partial(self._batch, "pile_batch"), piling)
-        self.crowd_one = host_function(partial(self._batch, "crowd_batch"), piling)
+        self._piling = piling
 
     def with_number(self, number: Array) -> HostPhysics:
         """The physics of the world of a number, i32."""
         return _Numbered(self, number)
+
+    def make_one(self, how: Together, number: Array, *asked: Array) -> Piling:
+        """`HostPhysics.make` in the world of a number."""
+
+        def make(number: np.ndarray, *arrays: np.ndarray) -> Piling:
+            return self._batch("make_batch", number, *arrays, first=(how,))
+
+        return host_function(make, self._piling)(number, *asked)
 
     def engine(self, number: int) -> BatchEngine:
         """The engine of a number; what the one before held is given back."""
@@ -339,17 +333,19 @@ class NumberedEngines:
         if self._at_hand is not None:
             self._at_hand[1].free()
 
-    def _batch(self, what: str, number: np.ndarray, *arrays: np.ndarray) -> Any:
-        """One call for each number among N scenes."""
+    def _batch(
+        self, what: str, number: np.ndarray, *arrays: np.ndarray, first: tuple[Any, ...] = ()
+    ) -> Any:
+        """One call for each number among N scenes; `first` are arguments before the arrays."""
         numbers = np.unique(number)
         with self._lock:
             if len(numbers) == 1:
-                return getattr(self.engine(int(numbers[0])), what)(*arrays)
+                return getattr(self.engine(int(numbers[0])), what)(*first, *arrays)
             rows = [np.flatnonzero(number == each) for each in numbers]
             parts = []
             for each, at in zip(numbers, rows, strict=True):
                 run = getattr(self.engine(int(each)), what)
-                parts.append(run(*(array[at] for array in arrays)))
+                parts.append(run(*first, *(array[at] for array in arrays)))
         order = np.argsort(np.concatenate(rows))
         return jax.tree.map(lambda *leaves: np.concatenate(leaves)[order], *parts)
 
@@ -363,21 +359,13 @@ class _Numbered(HostPhysics):
         settle = partial(engines.settle_one, number)
         OneScenePhysics.__init__(self, engines.config, settle, partial(engines.stand_one, number))
 
-    def pile(self, *asked: Array) -> Piling:
+    def make(self, how: Together, *asked: Array) -> Piling:
         """See `HostPhysics`."""
-        return self._engines.pile_one(self._number, *asked)
+        return self._engines.make_one(how, self._number, *asked)
 
-    def pile_batch(self, *arrays: np.ndarray) -> Piling:
+    def make_batch(self, how: Together, *arrays: np.ndarray) -> Piling:
         """See `BatchEngine`."""
-        return self._engines.engine(int(self._number)).pile_batch(*arrays)
-
-    def crowd(self, *asked: Array) -> Piling:
-        """See `HostPhysics`."""
-        return self._engines.crowd_one(self._number, *asked)
-
-    def crowd_batch(self, *arrays: np.ndarray) -> Piling:
-        """See `BatchEngine`."""
-        return self._engines.engine(int(self._number)).crowd_batch(*arrays)
+        return self._engines.engine(int(self._number)).make_batch(how, *arrays)
 
     def settle_batch(self, *arrays: np.ndarray) -> Settling:
         """See `BatchEngine`."""

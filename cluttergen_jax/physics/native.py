@@ -9,23 +9,26 @@ the next.
 from __future__ import annotations
 
 import math
+import os
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import NamedTuple
 
 import jax
+import mujoco
 import numpy as np
 
-from cluttergen_jax.config import StabilityConfig
+from cluttergen_jax.config import StabilityConfig, Together
 from cluttergen_jax.geometry import rotate
 from cluttergen_jax.physics import stability
 from cluttergen_jax.physics.alone import Alone
 from cluttergen_jax.physics.convex_outlines import ConvexOutlines
 from cluttergen_jax.physics.crowds import Crowder, CrowdRequest
 from cluttergen_jax.physics.doors import DoorCloser
+from cluttergen_jax.physics.drops import Bench, Dropper, DropRequest
 from cluttergen_jax.physics.host import (
     SUMS,
     HostPhysics,
@@ -255,23 +258,10 @@ class NativePhysics(HostPhysics):
             self._stand_otherwise(*scenes, result, block, is_brief=True)
         return result.verdict == int(Verdict.STABLE)
 
-    def pile_batch(self, *arrays: np.ndarray) -> Piling:
-        """`HostPhysics.pile` for N scenes: arrays of a `PileRequest`, and bool[N], which are active."""
-        return self._make_blocks(arrays, PILES_AT_ONCE, self._pile)
-
-    def crowd_batch(self, *arrays: np.ndarray) -> Piling:
-        """`HostPhysics.crowd` for N scenes: arrays of a `CrowdRequest`, and bool[N], which are active."""
-        return self._make_blocks(
-            arrays, self.max_simulations, lambda asked: Crowder(self, CrowdRequest(*asked)).run()
-        )
-
-    def _make_blocks(
-        self,
-        arrays: Sequence[np.ndarray],
-        size: int,
-        make: Callable[[list[np.ndarray]], Piling],
-    ) -> Piling:
-        """Makes heaps of the scenes that are active, so many side by side."""
+    def make_batch(self, how: Together, *arrays: np.ndarray) -> Piling:
+        """`HostPhysics.make` for N scenes, those that are active of them so many side by side."""
+        make = {"pile": self._pile, "crowd": self._crowd, "drop": self._drop}[how]
+        size = PILES_AT_ONCE if how == "pile" else self.max_simulations
         *asked, is_active = arrays
         result = empty_piling(np, (len(is_active),), self.layout.num_objects)
         indices = np.flatnonzero(is_active)
@@ -287,6 +277,18 @@ class NativePhysics(HostPhysics):
         if self._walled is None:
             self._walled = walled_simulations(self.layout, PILES_AT_ONCE, self._num_threads)
         return Piler(self, self._walled, PileRequest(*asked)).run()
+
+    def _crowd(self, asked: Sequence[np.ndarray]) -> Piling:
+        return Crowder(self, CrowdRequest(*asked)).run()
+
+    def _drop(self, asked: Sequence[np.ndarray]) -> Piling:
+        return Dropper(self, self._benches, DropRequest(*asked)).run()
+
+    @cached_property
+    def _benches(self) -> list[Bench]:
+        """Of each thread."""
+        models = [self._model.__copy__() for _ in range(self._num_threads or os.cpu_count() or 1)]
+        return [Bench(model, mujoco.MjData(model)) for model in models]
 
     def _blocks(self, is_wanted: np.ndarray) -> list[np.ndarray]:
         indices = np.flatnonzero(is_wanted)
@@ -308,6 +310,7 @@ class NativePhysics(HostPhysics):
         with self._lock:
             self._cache.clear()
             self._walled = None
+            self.__dict__.pop("_benches", None)
             if self.closer is not None:
                 self.closer.free()
 

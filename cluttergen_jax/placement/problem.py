@@ -84,6 +84,7 @@ class ProblemConfig:
       balance: "label", "licence" or "source", of whose values each comes as often; "" for none.
       change: how it is changed at random in every episode, a name of `changes.REGION_CHANGES`; what is
         drawn stays within the support's own.
+      is_whole: the method makes each scene at once.
       is_piled: objects are let fall into a heap, for which room is judged by volume.
       engine: "auto", "native", "warp" or "jax".
       num_threads: of the native engine; 0 takes every core.
@@ -101,6 +102,7 @@ class ProblemConfig:
     weights: tuple[tuple[str, float], ...] = ()
     balance: str = ""
     change: str = "none"
+    is_whole: bool = False
     is_piled: bool = False
     engine: str = "auto"
     num_threads: int = 0
@@ -110,8 +112,8 @@ class ProblemConfig:
 
     @property
     def needs_native(self) -> bool:
-        """Whether the native engine alone can make it: piles and crowds are made by it as a whole."""
-        return self.is_piled or self.placement.crowd_targets is not None
+        """Whether the native engine alone can make it: what is made as a whole is made by it."""
+        return self.is_whole or self.placement.crowd_targets is not None
 
     def __post_init__(self) -> None:
         check_workers("num_threads", self.num_threads)
@@ -316,9 +318,9 @@ def with_doors_closed(config: ProblemConfig, doors: Doors) -> ProblemConfig:
       ConfigError: they cannot be closed, or not in such scenes.
     """
     names = ", ".join(map(repr, doors.names))
-    if config.is_piled:
+    if config.is_whole:
         raise ConfigError(
-            f"method 'pile', which lets all objects fall at once, with doors that are to be closed: {names}",
+            f"a method that makes each scene at once, with doors that are to be closed: {names}",
             "a method that places one object after another",
             "method='guided', or doors='open'",
         )

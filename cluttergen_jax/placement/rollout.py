@@ -16,6 +16,7 @@ import numpy as np
 from flax import struct
 
 from cluttergen_jax.assets.support import Rectangle
+from cluttergen_jax.config import Together
 from cluttergen_jax.numerics import compiler_options, new_key, with_own_settings
 from cluttergen_jax.physics.host import HostPhysics
 from cluttergen_jax.placement import crowd
@@ -72,8 +73,8 @@ class BlockSampler(struct.PyTreeNode, eq=False):
     keep_out: KeepOut | None = None
     start: Start | None = None
 
-    is_whole: ClassVar[bool] = False
-    """Each scene is made at once, not object by object (`placement.methods.piles`)."""
+    how: ClassVar[Together | None] = None
+    """How the engine makes each scene at once; None where it is made object by object."""
 
     @property
     def in_parts(self) -> bool:
@@ -269,11 +270,11 @@ class Rollout:
         physics = sampler.rules.simulator
         if not isinstance(physics, HostPhysics):
             return self._step(sampler, episodes)
-        if sampler.is_whole:
+        if sampler.how is not None:
             is_left = ~np.asarray(episodes.is_over)
             is_due = is_left & (np.cumsum(is_left) <= WHOLE_AT_ONCE)
             asking, *asked = self._ask(sampler, episodes, is_due)
-            piling = physics.pile_batch(*map(np.asarray, asked))
+            piling = physics.make_batch(sampler.how, *map(np.asarray, asked))
             return self._finish_piles(sampler, episodes, asking, piling)
         episodes, action, *asked = self._propose(sampler, episodes)
         settling = physics.settle_batch(*map(np.asarray, asked))
@@ -281,7 +282,7 @@ class Rollout:
         transition = transition.replace(settling=settling)
         if sampler.rules.is_crowded:
             asked = self._ask_crowds(sampler, after, is_filled)
-            piling = physics.crowd_batch(*map(np.asarray, asked))
+            piling = physics.make_batch("crowd", *map(np.asarray, asked))
             made = piling, is_filled
             return self._conclude_crowds(sampler, episodes, after, transition, *made)
         standing = physics.stand_batch(*map(np.asarray, (after.poses, after.is_placed, is_filled)))
@@ -496,8 +497,8 @@ class EpisodeRecorder:
         )
         after = steps[-1][1]
         attempts = []
-        # A pile has no attempts that could be shown one after another.
-        for before, later, transition in () if self.sampler.is_whole else steps:
+        # What is made at once has no attempts that could be shown one after another.
+        for before, later, transition in steps if self.sampler.how is None else ():
             attempt = Attempt.of(before, transition, transition.settling)
             attempts.append(replace(attempt, gathered=self._poses_after_crowd(attempt, later)))
         made = Replay(

@@ -541,7 +541,7 @@ class Rules(struct.PyTreeNode, eq=False):
         after, transition, is_filled = self.judge(episode, action, settling)
         if self.is_crowded:
             assert isinstance(simulator, HostPhysics)
-            piling = simulator.crowd(*crowd.ask(self, after, is_filled))
+            piling = simulator.make("crowd", *crowd.ask(self, after, is_filled))
             return crowd.conclude(self, after, piling, is_filled), transition
         standing = simulator.stand(after.poses, after.is_placed, is_filled)
         return self.conclude(after, standing, is_filled), transition

@@ -22,6 +22,7 @@ from cluttergen_jax.learning.training.presets import Settings
 from cluttergen_jax.learning.training.run_folder import Interrupt, RunFolder
 from cluttergen_jax.learning.training.run_logger import read_rows
 from cluttergen_jax.learning.training.train import TrainConfig, recipe_of, run_training
+from cluttergen_jax.placement import PlacementConfig
 from cluttergen_jax.placement.problem import ProblemConfig
 from studies.benchmarks.section import prose, report, table
 from studies.benchmarks.trained import WINDOW, success_of
@@ -33,7 +34,7 @@ class Row:
 
     Attributes:
       name: its folder's. title: what is changed, for people.
-      variant, preset: what it starts from. network, ppo, placement: fields that are changed.
+      variant, preset: what it starts from. network, ppo, placement, stability: fields that are changed.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Row:
     network: dict[str, Any] = field(default_factory=dict)
     ppo: dict[str, Any] = field(default_factory=dict)
     placement: dict[str, Any] = field(default_factory=dict)
+    stability: dict[str, Any] = field(default_factory=dict)
     preset: Preset = "cpu"
 
 
@@ -132,6 +134,7 @@ def settings_of(
         network=replace(settings.network, **row.network),
         ppo=replace(settings.ppo, **row.ppo),
         placement=replace(settings.placement, **row.placement),
+        stability=replace(settings.stability, **row.stability),
     )
     return replace(
         config, encoder_weights=None
@@ -162,8 +165,14 @@ def compare(
     pool: str,
     about: str | None,
     needs_encoder: bool = False,
+    num_objects: int = 10,
+    differs: str = "one thing differs from the first row in each unless it says otherwise",
 ) -> None:
-    """Trains what is missing of the rows and writes a section: the program that the command line runs."""
+    """Trains what is missing of the rows and writes a section: the program that the command line runs.
+
+    Args:
+      pool, num_objects: of scenes; differs: what rows differ in, for people.
+    """
     parser = argparse.ArgumentParser(description=about)
     parser.add_argument("--out", type=Path, default=Path("runs") / name)
     parser.add_argument("--pool", default=pool)
@@ -184,11 +193,12 @@ def compare(
         parser.error("--write puts the whole section into the file: it takes no --rows")
     rows = [row for row in rows if args.rows is None or row.name in args.rows]
     for row in rows:
-        problem = ProblemConfig(pool=args.pool)
+        placement = PlacementConfig(num_objects=num_objects)
+        problem = ProblemConfig(pool=args.pool, placement=placement)
         train(row, args.out, problem, args.num_attempts, args.seed, args.encoder_weights)
     body = prose(
-        f"""Ten objects of {args.pool} on the paper's table, {args.num_attempts:,} attempts each, seed
-        {args.seed}; one thing differs from the first row in each unless it says otherwise. While training:
+        f"""{num_objects} objects of {args.pool} on the paper's table, {args.num_attempts:,} attempts each,
+        seed {args.seed}; {differs}. While training:
         mean success over the {WINDOW} updates before a quarter, half and all of the attempts. Whole check: of
         256 fresh episodes, actions sampled, with the 95 % interval."""
     )

@@ -16,9 +16,9 @@ import numpy as np
 import tyro
 
 from cluttergen_jax.assets.pool import find_pool
-from cluttergen_jax.evaluation.comparison import new_figure, prepare, save
 from cluttergen_jax.generation import Sampler, make_sampler
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, blocks_of, sample_blocks
+from cluttergen_jax.plots import new_figure, prepare, save
 from studies.benchmarks.section import IMAGES, prose, report, table
 from studies.plots import add_legend
 

@@ -21,7 +21,6 @@ import jax
 import numpy as np
 import tyro
 
-from cluttergen_jax.evaluation.comparison import new_figure, prepare, save
 from cluttergen_jax.generation import make_sampler
 from cluttergen_jax.learning.agents import make_agent
 from cluttergen_jax.learning.ppo.ppo import PPO
@@ -30,6 +29,7 @@ from cluttergen_jax.physics import native, simulations
 from cluttergen_jax.placement.env import PlacementEnv
 from cluttergen_jax.placement.problem import ProblemConfig, make_problem
 from cluttergen_jax.placement.rollout import BLOCK_SIZE, Rollout, blocks_of, sample_blocks
+from cluttergen_jax.plots import new_figure, prepare, save
 from cluttergen_jax.scene.bank.table import table_of
 from studies.benchmarks.section import IMAGES, prose, report, table
 from studies.plots import add_legend

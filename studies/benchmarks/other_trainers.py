@@ -18,7 +18,7 @@ import jax
 import numpy as np
 
 import cluttergen_jax as cg
-from cluttergen_jax.evaluation.comparison import new_figure, prepare
+from cluttergen_jax.plots import new_figure, prepare
 from studies.benchmarks.section import prose, report, table
 
 PICTURE = Path(__file__).parents[2] / "docs" / "images" / "other_trainers.png"

@@ -97,12 +97,12 @@ def compete(args: Piles) -> dict[str, Turn]:
     parts: dict[str, list[Piling]] = {"cluttergen_jax": [], "PyBullet": []}
     seconds = dict.fromkeys(parts, 0.0)
     # The first of each compiles and allocates what it keeps.
-    ours.pile_batch(*_rows(asked, slice(0, 1)))
+    ours.make_batch("pile", *_rows(asked, slice(0, 1)))
     theirs.pile_batch(_rows(asked, slice(0, 1)))
     for start in range(0, args.num_scenes, 8):
         rows = _rows(asked, slice(start, start + 8))
         for name, make in (
-            ("cluttergen_jax", lambda r: ours.pile_batch(*r)),
+            ("cluttergen_jax", lambda r: ours.make_batch("pile", *r)),
             ("PyBullet", theirs.pile_batch),
         ):
             began = time.process_time()

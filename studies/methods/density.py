@@ -16,18 +16,16 @@ from cluttergen_jax.evaluation.comparison import (
     Column,
     missing,
     name_of,
-    new_figure,
-    prepare,
     request_columns,
-    save,
     table_of,
 )
 from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.trial import Trial, grid, trial_of
+from cluttergen_jax.plots import PAGE, new_figure, prepare, save
 from cluttergen_jax.tables import Table
 from studies.cells import EFFORT, EFFORT_NOTES, FILL
 from studies.methods.table1 import ALL_METHODS
-from studies.plots import add_legend, plot_success
+from studies.plots import add_legend, plot_shares
 from studies.rankings import OURS, success_notes
 from studies.results import Result, made_rows
 from studies.rules import RULES, margin_of, named_rows, with_seeds
@@ -40,7 +38,7 @@ FILLS = (0.5, 1.0, 1.5, 2.0)
 _FILL_OBJECTS = 20
 _SIDES = (0.60, 0.70)
 """Metres; tables of other areas are as long for their width."""
-FULLNESS = ("drop", "drop, ruin", "clear, ruin", "spread", "guided")
+FULLNESS = ("settle", "drop", "drop, ruin", "clear, ruin", "spread", "guided")
 """Rows where it is about fullness: baselines with and without taking objects away, and who always does."""
 _CROWDS = {20: None, 30: None, 40: 10}
 """Objects, and attempts of a scene for each of them where that is not what every row has."""
@@ -152,13 +150,16 @@ def plot(rows: list[Row], stem: Path) -> list[str]:
     pools = list(dict.fromkeys(row["trial"]["pool"] for row in rows))
     panels = [[row for row in rows if row["trial"]["pool"] == pool] for pool in pools]
     rungs = [list(dict.fromkeys(map(_rung, panel))) for panel in panels]
-    figure = new_figure(8.0, 3.4)
+    figure = new_figure(PAGE, 3.2)
     axes = figure.subplots(
         1, len(pools), sharey=True, squeeze=False, width_ratios=list(map(len, rungs))
     )[0]
     for axis, pool, panel, places in zip(axes, pools, panels, rungs, strict=True):
         _panel(axis, panel, places)
-        prepare(axis, pool if len(pools) > 1 else "", "", "success" if axis is axes[0] else "")
+        trials = sorted({row["figures"]["trials"] for row in panel})
+        number = f"{' or '.join(f'{each:,}' for each in trials)} scenes a point, 95 % intervals"
+        title = f"{pool}: {number}" if len(pools) > 1 else number
+        prepare(axis, title, "", "success rate" if axis is axes[0] else "")
         # Short enough to stand side by side.
         labels = [rung.replace(", ", "\n").replace("x", " x\n", 1) for rung in places]
         axis.set_xticks(range(len(places)), labels, fontsize=6)
@@ -175,11 +176,12 @@ def _panel(axis: Any, rows: list[Row], rungs: list[str]) -> None:
         some = [row for row in rows if name_of(row) == name]
         # Side by side, so that equal rates do not hide one another.
         shift = _APART * (turn - (len(names) - 1) / 2)
-        plot_success(
+        plot_shares(
             axis,
             name,
             [rungs.index(_rung(row)) + shift for row in some],
-            [row["figures"] for row in some],
+            [row["figures"]["num_success"] for row in some],
+            [row["figures"]["trials"] for row in some],
         )
 
 

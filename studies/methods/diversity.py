@@ -9,17 +9,12 @@ from typing import Any
 import numpy as np
 
 from cluttergen_jax.assets.support import Rectangle
-from cluttergen_jax.evaluation.comparison import (
-    Column,
-    colour,
-    grid_of_panels,
-    request_columns,
-    save,
-)
+from cluttergen_jax.evaluation.comparison import Column, request_columns
 from cluttergen_jax.evaluation.diversity import embed
 from cluttergen_jax.evaluation.records import Row
 from cluttergen_jax.evaluation.runner import Runner
 from cluttergen_jax.evaluation.trial import Trial, grid
+from cluttergen_jax.plots import FONT, PAGE, colour, grid_of_panels, save
 from cluttergen_jax.statistics import finite
 from studies.cells import HEAD, SCENES, number_column
 from studies.measures import diversity as measures
@@ -128,7 +123,7 @@ _MAP_SCENES = 500
 def _papers_maps(scale: Scale) -> tuple[Trial, ...]:
     """The paper's setting, five objects of its first group; chance and ours beside its two heads."""
     base = scale.trial(_MAP_SCENES, 6, pool=scale.pools_or("dining")[0], num_objects=5)
-    return grid(base, method=("random", "normal", CLUTTERGEN, "policy"))
+    return grid(base, method=("random", "normal", CLUTTERGEN, "policy", "guided"))
 
 
 def _measure_objects(runner: Runner, trials: Sequence[Trial], stem: Path) -> Findings:
@@ -155,7 +150,7 @@ def _measure_objects(runner: Runner, trials: Sequence[Trial], stem: Path) -> Fin
 def _maps(shown: Sequence[tuple[str, Successes]], stem: Path) -> list[str]:
     """Plan views of each object over at most 500 scenes, a row for each method."""
     names = shown[0][1].world.names
-    figure, axes = grid_of_panels(len(shown) * len(names), len(names), 1.25, 1.6)
+    figure, axes = grid_of_panels(len(shown) * len(names), len(names), PAGE / len(names), 0.9)
     panels = iter(axes)
     for method, scenes in shown:
         positions = measures.region_positions(scenes.poses[:_MAP_SCENES], scenes.region)
@@ -163,14 +158,17 @@ def _maps(shown: Sequence[tuple[str, Successes]], stem: Path) -> list[str]:
             axis = next(panels)
             here = scenes.is_placed[:_MAP_SCENES, k]
             if here.any():
-                _plan_view(axis, positions[here, k], scenes.region, colour(method), name)
+                title = name.replace("_", " ") if method == shown[0][0] else ""
+                _plan_view(axis, positions[here, k], scenes.region, colour(method), title)
             if k == 0:
-                axis.set_ylabel(label_of(method), fontsize=9)
+                axis.set_ylabel(f"{label_of(method)}\nn = {here.sum():,}", fontsize=FONT)
+    sides = (2 * each for each in shown[0][1].region.half_extents)
+    figure.supxlabel(f"each region {' x '.join(f'{side:.2f}' for side in sides)} m", fontsize=FONT)
     return save(figure, stem)
 
 
 def _plan_view(axis: Any, positions: np.ndarray, region: Rectangle, shade: str, title: str) -> None:
-    """Positions f[N, 2] (region frame, metres) as dots, with the region and the box between extremes."""
+    """Positions f[N, 2] (region frame, metres) as dots, with the region and the box of extremes."""
     from matplotlib.patches import Rectangle as Patch
 
     (x, y) = region.half_extents
@@ -178,13 +176,14 @@ def _plan_view(axis: Any, positions: np.ndarray, region: Rectangle, shade: str, 
     axis.add_patch(Patch((-x, -y), 2 * x, 2 * y, fill=False, color="#444444", linewidth=0.8))
     size = np.ptp(positions, axis=0)
     axis.add_patch(Patch(tuple(low), *size, fill=False, color=shade, linewidth=0.8, linestyle="--"))
-    axis.plot(*positions.T, ".", markersize=2.0, alpha=0.45, color=shade)
+    axis.plot(*positions.T, ".", markersize=2.6, alpha=0.5, color=shade, markeredgewidth=0)
     axis.set_xlim(-1.15 * x, 1.15 * x)
     axis.set_ylim(-1.15 * y, 1.15 * y)
     axis.set_aspect("equal")
     axis.set_xticks([])
     axis.set_yticks([])
-    axis.set_title(title, fontsize=8)
+    axis.spines[:].set_visible(False)
+    axis.set_title(title, fontsize=FONT - 1, pad=1)
 
 
 DIVERSITY_MAPS = Study(

@@ -15,7 +15,7 @@ from studies.results import made_rows
 from studies.rules import RULES, named_rows, with_seeds
 from studies.study import Scale, Study
 
-ROWS = ("guided", "spread", "drop, ruin")
+ROWS = ("guided", "spread", "drop, ruin", "settle")
 OBJECTS = 20
 HELD_OUT, SEEN = VARIANT_POOLS
 

@@ -11,11 +11,7 @@ import numpy as np
 
 from cluttergen_jax.evaluation.comparison import (
     Column,
-    colour,
-    grid_of_panels,
-    prepare,
     request_columns,
-    save,
     share,
 )
 from cluttergen_jax.evaluation.records import Row, Spread
@@ -24,31 +20,45 @@ from cluttergen_jax.evaluation.trial import Trial, grid
 from cluttergen_jax.learning.training.run_logger import read_rows
 from cluttergen_jax.learning.training.suite import DEFAULT_ATTEMPTS, TABLE_ATTEMPTS
 from cluttergen_jax.placement.methods.table import BASELINES
+from cluttergen_jax.plots import PAGE, colour, grid_of_panels, mark, prepare, save
 from studies.cells import BOTH, LOOSE, STEPS, STRICT, columns_of, mean_and_spread
 from studies.methods import table1
 from studies.methods.table1 import CLUTTERGEN, first_seed
-from studies.plots import add_legend, label_of, plot_success
+from studies.plots import PAPERS, add_legend, label_of, plot_shares
 from studies.results import made_rows
 from studies.study import Findings, Scale, Study, of_methods
 
 
 def _plot_by_pool(
-    rows: list[Row], stem: Path, draw: Callable[[Any, str, list[Row]], None], x: str, y: str
+    rows: list[Row],
+    stem: Path,
+    draw: Callable[[Any, str, list[Row]], None],
+    x: str,
+    y: str,
+    papers: Callable[[Any], None] | None = None,
 ) -> list[str]:
-    """A panel for each pool, drawn by `draw` from the pool's rows; `x` and `y` label the axes."""
+    """A panel for each pool, drawn by `draw` from the pool's rows; `x` and `y` label the axes.
+
+    Args:
+      papers: draws what the paper shows of no pool in particular, in a panel of its own.
+    """
     pools = list(dict.fromkeys(row["trial"]["pool"] for row in rows))
-    figure, axes = grid_of_panels(len(pools), 3, 3.0, 2.4)
-    for axis, pool in zip(axes, pools, strict=True):
+    figure, axes = grid_of_panels(len(pools) + (papers is not None), 3, PAGE / 3, 2.0)
+    for axis, pool in zip(axes, pools, strict=False):
         draw(axis, pool, [row for row in rows if row["trial"]["pool"] == pool])
         prepare(axis, pool, x, y)
-    add_legend(figure)
+    if papers is not None:
+        papers(axes[-1])
+        prepare(axes[-1], "the paper, read off its picture", x, y)
+    add_legend(figure, "outside lower center", 3)
     return save(figure, stem)
 
 
-def _plot_papers(axis: Any, values: Sequence[float], style: str, name: str) -> None:
+def _plot_papers(axis: Any, values: Sequence[float], name: str, marker: str) -> None:
     x = range(1, len(values) + 1)
     label = f"{name}, the paper"
-    axis.plot(x, values, style, color="#777777", linewidth=1.0, label=label)
+    style = {"color": PAPERS, "linewidth": 0.9, "linestyle": ":", "markersize": 3.5}
+    axis.plot(x, values, marker=marker, label=label, **style)
 
 
 # Figure 1a: success against the number of objects.
@@ -58,7 +68,7 @@ OBJECTS_PAPER = {
     "RRS": (0.73, 0.49, 0.25, 0.22, 0.08, 0.03, 0.0, 0.0, 0.0, 0.0),
 }
 """The paper's success with 1, 2, ... objects, read off its picture; RRS is its `random`."""
-_STYLES = {"ClutterGen": "--", "RRS": ":"}
+_MARKS = {"ClutterGen": "X", "RRS": "o"}
 
 
 def at_least(histogram: Sequence[int]) -> list[float]:
@@ -95,22 +105,27 @@ def _objects_columns(rows: list[Row]) -> tuple[Column, ...]:
 
 
 def _plot_fig1a(rows: list[Row], stem: Path) -> list[str]:
-    """The paper's count, and dotted the strict one."""
+    """The strict count, and with empty marks the paper's; 95 % intervals."""
 
     def draw(axis: Any, pool: str, rows: list[Row]) -> None:
         for row in rows:
             method = row["trial"]["method"]
             figures = row["figures"]
-            for source, style in ((figures["paper"], "-"), (figures, ":")):
-                shares = at_least(source["placed_histogram"])
-                label = label_of(method) if style == "-" else None
-                x = range(1, len(shares) + 1)
-                axis.plot(x, shares, style, color=colour(method), label=label, marker=".")
+            for source, is_hollow in ((figures["paper"], True), (figures, False)):
+                histogram = source["placed_histogram"]
+                placed = [sum(histogram[number:]) for number in range(1, len(histogram))]
+                count = "the paper's count" if is_hollow else "strict"
+                label = f"{label_of(method)}, {count}"
+                x = range(1, len(histogram))
+                trials = [sum(histogram)] * len(placed)
+                plot_shares(axis, method, x, placed, trials, is_hollow, label)
+
+    def papers(axis: Any) -> None:
         for name, theirs in OBJECTS_PAPER.items():
-            _plot_papers(axis, theirs, _STYLES[name], name)
+            _plot_papers(axis, theirs, name, _MARKS[name])
         axis.set_ylim(-0.03, 1.03)
 
-    return _plot_by_pool(rows, stem, draw, "objects", "success (dotted: strict)")
+    return _plot_by_pool(rows, stem, draw, "objects", "success rate", papers)
 
 
 FIG1A = Study(
@@ -123,8 +138,8 @@ FIG1A = Study(
         LOOSE,
         "an episode of n objects is the beginning of one of ten: orders are uniform, and no method is told "
         "how many are to come",
-        "the dotted lines of the plot are strict but for the last check; the paper's values were read off "
-        "its picture, which does not say of which group they are",
+        "strict in the plot: but for the last check; intervals of 95 %; the paper's values were read off its "
+        "picture, which does not say of which group they are",
     ),
     prepare=_with_papers_objects,
     plot=_plot_fig1a,
@@ -140,7 +155,7 @@ STEPS_PAPER = {
     "household": (136, 102, 120, 98, 34),
 }
 """The paper's mean steps of attempts 1 to 5 by the pool that stands for its group, read off its picture."""
-_FEWEST = 5
+_FEWEST = 20
 """Attempts behind a point of the plot."""
 
 
@@ -175,7 +190,8 @@ def _steps_columns(rows: list[Row]) -> tuple[Column, ...]:
 def _steps_notes(rows: list[Row]) -> list[str]:
     return [
         LOOSE,
-        "objects that stood in the end and took at least three attempts; mean ± standard deviation",
+        "objects that stood in the end and took at least three attempts; mean ± standard deviation; in the "
+        f"plot 95 % intervals of means, points of {_FEWEST} attempts or more",
         "the paper's values were read off its picture; it takes their fall for a sign that its policy learns "
         "from failures within an episode",
         *_selection(rows),
@@ -208,24 +224,36 @@ def _frequent(row: Row) -> list[Spread]:
     return [each for each in _steps(row).values() if each["count"] >= _FEWEST]
 
 
+def _mark_size(number: int) -> float:
+    """Points, of a mark behind which there are so many attempts."""
+    return 2.5 * np.log10(number) - 1.5
+
+
 def _plot_steps(rows: list[Row], stem: Path) -> list[str]:
-    """Mean steps of each attempt with their standard error."""
+    """Mean steps of each attempt with their 95 % intervals; the larger a mark, the more are behind it."""
 
     def draw(axis: Any, pool: str, rows: list[Row]) -> None:
         for row in rows:
             if steps := _frequent(row):
                 method = row["trial"]["method"]
-                error = [each["std"] / np.sqrt(each["count"]) for each in steps]
+                error = [1.96 * each["std"] / np.sqrt(each["count"]) for each in steps]
                 x = [each["attempt"] for each in steps]
                 y = [each["mean"] for each in steps]
-                style = {"color": colour(method), "label": label_of(method)}
-                axis.errorbar(x, y, error, marker=".", linewidth=1.0, **style)
+                style = {"color": colour(method), "label": label_of(method), "linewidth": 1.0}
+                axis.errorbar(
+                    x, y, error, marker=mark(method), markersize=1, elinewidth=0.7, **style
+                )
+                sizes = [_mark_size(each["count"]) ** 2 for each in steps]
+                axis.scatter(x, y, sizes, colour(method), mark(method), linewidths=0)
         if pool in STEPS_PAPER:
-            _plot_papers(axis, STEPS_PAPER[pool], "--", "ClutterGen")
+            _plot_papers(axis, STEPS_PAPER[pool], "ClutterGen", "X")
         axis.set_xticks(range(1, DEFAULT_ATTEMPTS + 1))
         axis.set_ylim(0, 250)
+        for number in (_FEWEST, 200, 1000):
+            style = {"color": PAPERS, "linestyle": "", "marker": "o"}
+            axis.plot([], [], markersize=_mark_size(number), label=f"n = {number:,}", **style)
 
-    return _plot_by_pool(rows, stem, draw, "attempt", "steps")
+    return _plot_by_pool(rows, stem, draw, "attempt", "steps of 1/240 s")
 
 
 STEPS_BY_ATTEMPT = Study(
@@ -279,9 +307,11 @@ def _plot_attempts(rows: list[Row], stem: Path) -> list[str]:
         for method, some in groupby(_sort(rows), lambda row: row["trial"]["method"]):
             made = list(some)
             x = [row["trial"]["attempts"] for row in made]
-            plot_success(axis, method, x, [row["figures"]["paper"] for row in made])
+            figures = [row["figures"]["paper"] for row in made]
+            successes = [each["num_success"] for each in figures]
+            plot_shares(axis, method, x, successes, [each["trials"] for each in figures])
 
-    return _plot_by_pool(rows, stem, draw, "attempts per object", "success, paper's count")
+    return _plot_by_pool(rows, stem, draw, "attempts per object", "success rate, paper's count")
 
 
 ATTEMPTS = Study(
@@ -328,15 +358,15 @@ def _draw_curves(runner: Runner, trials: Sequence[Trial], stem: Path) -> Finding
     if not runs:
         return Findings(notes=notes)
     pools = list(dict.fromkeys(trial.pool_name for trial in runs))
-    figure, axes = grid_of_panels(len(pools), 3, 3.0, 2.4)
+    figure, axes = grid_of_panels(len(pools), 3, PAGE / 3, 2.0)
     rows = [
         _draw_curve(axes[pools.index(trial.pool_name)], trial, folder)
         for trial, folder in runs.items()
     ]
     for axis, pool in zip(axes, pools, strict=True):
-        prepare(axis, pool, "attempts (thousands)", "success while training")
+        prepare(axis, pool, "attempts (thousands)", "success rate while training")
         axis.set_ylim(0, 1.03)
-    add_legend(figure)
+    add_legend(figure, "outside lower center", 4)
     return Findings(rows, save(figure, stem), notes)
 
 

@@ -8,6 +8,7 @@ hand. Stable steps are those of all attempts of an object added up.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from cluttergen_jax.assets.pool import EMBEDDED
 from cluttergen_jax.evaluation.comparison import Column, name_of, request_columns, share, table_of
@@ -149,13 +150,14 @@ def tables(result: Result) -> list[Table]:
 
 def _groups(rows: list[Row]) -> list[list[Row]]:
     """The rows of each pool and method that were trained alike; missing ones where none was made."""
-    groups: dict[tuple[str, str], dict[str, list[Row]]] = {}
+    groups: dict[tuple[str, str], dict[Any, list[Row]]] = {}
     for row in rows:
         trainings = groups.setdefault((row["trial"]["pool"], name_of(row)), {})
-        trainings.setdefault(differs(row) if "figures" in row else "", []).append(row)
+        attempts = (row.get("policy") or {}).get("attempts")
+        trainings.setdefault((differs(row), attempts) if "figures" in row else None, []).append(row)
     alike = []
     for trainings in groups.values():
-        missing = trainings.pop("", [])
+        missing = trainings.pop(None, [])
         alike += list(trainings.values()) or [missing]
     return alike
 
@@ -180,8 +182,6 @@ def differs(row: Row) -> str:
         # Results of older versions do not say.
         if policy.get(name) is not None and policy[name] not in papers
     ]
-    if policy.get("attempts"):
-        parts.append(f"{policy['attempts']:,} training attempts")
     return ", ".join(parts)
 
 

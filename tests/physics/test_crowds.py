@@ -70,7 +70,7 @@ def row_of(piling, index):
 
 def test_a_crowd_touches_from_the_side_as_often_as_asked_and_stands(engine):
     asked = asked_for(4, side=0.75)
-    made = engine.crowd_batch(*asked)
+    made = engine.make_batch("crowd", *asked)
     assert (made.verdict == Verdict.STABLE).all()
     # Three pairs of four objects: every one is part of the group.
     assert (made.num_beside >= 3).all()
@@ -93,34 +93,34 @@ def test_objects_apart_do_not_touch_before(engine):
 
 
 def test_what_is_asked_for_less_is_drawn_less(engine):
-    little = engine.crowd_batch(*asked_for(4, side=0.25))
+    little = engine.make_batch("crowd", *asked_for(4, side=0.25))
     assert (little.verdict == Verdict.STABLE).all()
     assert (little.num_beside >= 1).all()
     apart = np.linalg.norm(
         little.poses[..., :2] - little.poses[..., :2].mean(1, keepdims=True), axis=-1
     )
-    much = engine.crowd_batch(*asked_for(4, side=1.0)).poses[..., :2]
+    much = engine.make_batch("crowd", *asked_for(4, side=1.0)).poses[..., :2]
     dense = np.linalg.norm(much - much.mean(1, keepdims=True), axis=-1)
     assert dense.mean() < apart.mean()
 
 
 def test_a_crowd_is_the_same_alone_and_with_other_threads(engine):
     asked = asked_for(3, side=0.75)
-    together = engine.crowd_batch(*asked)
+    together = engine.make_batch("crowd", *asked)
     for other in (engine, engine_of(num_threads=2)):
-        alone = other.crowd_batch(*(each[1:2] for each in asked))
+        alone = other.make_batch("crowd", *(each[1:2] for each in asked))
         for name, value in row_of(together, 1).items():
             np.testing.assert_array_equal(value, row_of(alone, 0)[name], err_msg=name)
 
 
 def test_a_crowd_keeps_out_of_boxes(engine):
     asked = asked_for(4, side=1.0)
-    free = engine.crowd_batch(*asked).poses[..., :2]
+    free = engine.make_batch("crowd", *asked).poses[..., :2]
     half = 0.08
     # Wider than the box by the radius of the smallest outline.
     assert (np.abs(free).max(-1) < half + 0.02).any()
     asked[6] = np.tile(np.array([0, 0, half, half, 0], np.float32), (4, 1, 1))
-    made = engine.crowd_batch(*asked)
+    made = engine.make_batch("crowd", *asked)
     assert (made.verdict == Verdict.STABLE).all()
     is_placed = asked[1] & ~made.is_left_out
     assert is_placed.any()
@@ -166,7 +166,7 @@ def test_what_is_moved_together_comes_near_and_never_overlaps(engine):
 def test_what_is_not_active_is_left_alone(engine):
     asked = asked_for(2, side=0.75)
     asked[-1][0] = False
-    made = engine.crowd_batch(*asked)
+    made = engine.make_batch("crowd", *asked)
     assert made.verdict[0] == Verdict.NONE
     assert not made.poses[0].any()
     assert made.verdict[1] == Verdict.STABLE
@@ -175,7 +175,7 @@ def test_what_is_not_active_is_left_alone(engine):
 def test_tall_things_lean_where_that_is_asked_for_and_only_there(engine):
     asked = asked_for(4, side=0.75, lean=0.25, may_tip=True)
     asked[7][:] = -1.0
-    made = engine.crowd_batch(*asked)
+    made = engine.make_batch("crowd", *asked)
     assert (made.verdict == Verdict.STABLE).all()
     height = 1 - 2 * (made.poses[..., 4] ** 2 + made.poses[..., 5] ** 2)
     is_tilted = np.arccos(np.clip(height, -1, 1)) > LEANS
@@ -186,7 +186,7 @@ def test_tall_things_lean_where_that_is_asked_for_and_only_there(engine):
 def test_what_leaves_the_region_is_left_out(engine):
     # A region beside the group, to whose middle all but what begins there is drawn.
     region = (-0.12, 0, *REGION[2:7], 0.1, 0.3)
-    made = engine.crowd_batch(*asked_for(2, side=1.2, region=region))
+    made = engine.make_batch("crowd", *asked_for(2, side=1.2, region=region))
     assert (made.verdict == Verdict.STABLE).all()
     is_inside = np.abs(made.poses[..., 0] + 0.12) <= 0.1
     assert made.is_left_out.any()
@@ -198,7 +198,7 @@ def test_what_tips_over_is_left_out_and_the_others_stand(engine):
     # Let go at an angle of 45 degrees it comes to lie, or to stand.
     asked[0][0, 3, 3:] = (np.cos(np.pi / 8), np.sin(np.pi / 8), 0, 0)
     asked[0][0, 3, 2] += 0.03
-    made = engine.crowd_batch(*asked)
+    made = engine.make_batch("crowd", *asked)
     assert made.verdict[0] == Verdict.STABLE
     assert made.is_left_out[0].tolist() == [False, False, False, True]
     assert not made.poses[0, 3].any()

@@ -64,7 +64,7 @@ def assert_same(first, second):
 
 def test_a_pile_lies_in_its_bin_and_stands_the_last_check(engine):
     asked = asked_for(3, IN_BIN)
-    made = engine.pile_batch(*asked)
+    made = engine.make_batch("pile", *asked)
     assert (made.verdict == Verdict.STABLE).all()
     assert (np.abs(made.poses[..., :2]) <= [0.08, 0.07]).all()
     assert (made.poses[..., 2] > 0.708).all()
@@ -84,16 +84,16 @@ def test_a_pile_lies_in_its_bin_and_stands_the_last_check(engine):
 
 def test_a_pile_is_the_same_alone_and_with_other_threads(engine):
     asked = asked_for(3, IN_BIN)
-    together = engine.pile_batch(*asked)
+    together = engine.make_batch("pile", *asked)
     for other in (engine, engine_on(open_container("bin", SIZE), num_threads=2)):
-        alone = other.pile_batch(*(each[1:2] for each in asked))
+        alone = other.make_batch("pile", *(each[1:2] for each in asked))
         assert_same(rows(together, 1), rows(alone, 0))
 
 
 def test_what_is_not_active_is_left_alone(engine):
     asked = asked_for(2, IN_BIN)
     asked[-1][0] = False
-    made = engine.pile_batch(*asked)
+    made = engine.make_batch("pile", *asked)
     assert made.verdict[0] == Verdict.NONE
     assert not made.releases[0].any()
     assert not made.poses[0].any()
@@ -105,7 +105,7 @@ def test_what_has_no_room_is_released_again_and_in_the_end_given_up(engine, budg
     asked = asked_for(1, (*IN_BIN[:7], 0.01, 0.01), budget)
     # Whole boxes have to lie within 2 cm.
     asked[4][:] = 1
-    made = engine.pile_batch(*asked)
+    made = engine.make_batch("pile", *asked)
     assert made.verdict[0] == Verdict.OUTSIDE
     assert 3 <= made.releases[0].sum() <= most
     assert made.releases[0].max() == (5 if budget == 15 else 1)

@@ -56,6 +56,19 @@ def test_a_log_goes_on_while_nothing_gets_done_and_names_what_is_at_work():
     assert lines[-1].startswith("importing: 1 of 1 objects done in ")
 
 
+def test_an_estimate_leaves_out_what_was_compiled_first():
+    seconds = 0.0
+    shown = Progress("learning", 11, "step", file=io.StringIO(), clock=lambda: seconds)
+    seconds = 3600.0
+    shown.update()
+    assert shown.times() == "60 min 0 s passed, 10.0 h left"
+    shown.begin_timing()
+    assert "left" not in shown.times()
+    seconds += 2.0
+    shown.update()
+    assert shown.times() == "60 min 2 s passed, 18 s left"
+
+
 @pytest.mark.parametrize("is_terminal", [True, False])
 def test_a_wait_names_its_phase_its_reason_and_its_seconds(is_terminal):
     shown = Shown(is_terminal)

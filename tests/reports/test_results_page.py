@@ -7,6 +7,7 @@ import pytest
 from cluttergen_jax.errors import ConfigError
 from studies import make_results
 from studies.methods import table1
+from studies.pages import PAGES, write_pages
 from studies.report import (
     document,
     provenance,
@@ -26,6 +27,18 @@ def test_results_page_agrees_with_its_json():
     # New studies have no result until they are made.
     assert {result["name"] for result in results} <= set(STUDIES)
     assert (REPORTS / "results.md").read_text(encoding="utf-8") == document(results, notes)
+
+
+def test_tables_of_the_readmes_agree_with_their_json(tmp_path):
+    results = read_results(REPORTS / "results")
+    for page in PAGES:
+        text = (REPORTS.parent / page).read_text(encoding="utf-8")
+        (tmp_path / page).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / page).write_text(text, encoding="utf-8")
+    write_pages(results, tmp_path)
+    for page in PAGES:
+        written = (tmp_path / page).read_text(encoding="utf-8")
+        assert (REPORTS.parent / page).read_text(encoding="utf-8") == written
 
 
 def test_rows_of_episodes_come_with_what_a_suite_made(tmp_path, monkeypatch):

@@ -125,7 +125,7 @@ def placer_data(
                 f"{bank} has no digests of its assets: an older version made it",
                 hint="generating the bank again",
             )
-        if entry_of(found.recipe.get("method")).is_whole:
+        if entry_of(found.recipe.get("method")).is_heap:
             hint = "generate --method guided"
             raise BankError(
                 f"{found.path} holds piles", "scenes placed one object after another", hint

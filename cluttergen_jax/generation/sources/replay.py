@@ -167,13 +167,13 @@ def replay(
     """Scene number `index` of a bank with its attempts, made once more; see `EpisodeRecorder.record`.
 
     Raises:
-      BankError: a person made it, or it is a pile; or made again it ends elsewhere: other versions, another
-        machine, changed assets.
+      BankError: a person made it, or it was made at once; or made again it ends elsewhere: other versions,
+        another machine, changed assets.
     """
     recipe = bank.recipe
     if entry_of(recipe["method"]).is_whole:
         raise BankError(
-            f"{stored.title} is a pile, in which all objects fall together",
+            f"{stored.title} was made at once by method {recipe['method']!r}",
             "attempts of scenes that are placed object by object",
             "the scene itself",
         )

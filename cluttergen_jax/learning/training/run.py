@@ -251,8 +251,10 @@ class Run:
             with interrupt or Interrupt() as interrupt:
                 state = self._work(state, logger, interrupt)
             if agree(interrupt.is_asked).any():
-                logger.say(f"stopped at update {int(state.num_updates)}; everything is saved")
-                raise KeyboardInterrupt
+                number = int(state.num_updates)
+                logger.say(f"stopped at update {number}; everything is saved")
+                is_trained = number >= self.ppo.config.num_updates
+                raise KeyboardInterrupt(*((_EVALUATE,) if is_trained else ()))
             self._finish(state, logger)
         finally:
             logger.close()
@@ -354,6 +356,7 @@ class Run:
         )
 
 
+_EVALUATE = "all attempts are made, and the policy is there; rerun the command to evaluate it"
 _COMPILING = (
     "one update as one program, half a minute on two cores where it was not compiled before"
 )

@@ -178,6 +178,8 @@ class RunFolder:
                         call = partial(interrupt.run_compiling, step)
                     state, note = call(number, state)
                     progress.update(note=note)
+                    if number == first:
+                        progress.begin_timing()
                     if time.monotonic() - saved > SAVE_EVERY:
                         self.save(state)
                         saved = time.monotonic()

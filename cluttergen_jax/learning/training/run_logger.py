@@ -15,11 +15,13 @@ import jax
 import numpy as np
 from tqdm import tqdm
 
+from cluttergen_jax.assets import public_name
 from cluttergen_jax.errors import MissingExtraError
 from cluttergen_jax.files import write_atomically
 from cluttergen_jax.learning.ppo.checkpoint import save_policy
 from cluttergen_jax.learning.ppo.ppo import PPOConfig, TrainState
 from cluttergen_jax.learning.training.run_folder import RunFolder
+from cluttergen_jax.plots import FONT, PAGE, colour, grid_of_panels, prepare, save
 from cluttergen_jax.progress import Progress
 from cluttergen_jax.schema import Record
 
@@ -117,35 +119,45 @@ def _numbers(row: Mapping[str, str]) -> Row | None:
         return None
 
 
-PANELS = (("success", "success"), ("num_placed", "objects placed"), ("entropy", "entropy (nats)"))
+POLICY = colour("policy")
+PANELS = (
+    ("success", "success rate"),
+    ("num_placed", "objects placed"),
+    ("entropy", "entropy (nats)"),
+)
 
 
-def draw_curve(rows: list[Row], path: Path, title: str, evaluations: Sequence[Row] = ()) -> None:
-    """Success, objects placed and entropy against attempts, as a PNG; evaluated success as points."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+def draw_curve(
+    rows: list[Row],
+    path: Path,
+    title: str,
+    evaluations: Sequence[Row] = (),
+    random: float | None = None,
+) -> None:
+    """Success, objects placed and entropy against attempts; evaluated success as points.
 
+    Args:
+      path: of the picture; the same as a PDF lies beside it.
+      evaluations: of whole last checks; random: the rate of `random` in the same world, where it is known.
+    """
     attempts = [row["attempts"] / 1000 for row in rows]
-    figure = Figure(figsize=(8, 3.2), layout="constrained")
-    axes = figure.subplots(1, 3)
+    figure, axes = grid_of_panels(len(PANELS), 3, PAGE / 3, 2.2)
     for axis, (name, label) in zip(axes, PANELS, strict=True):
         # A single row makes no line.
         marker = "." if len(rows) == 1 else ""
-        axis.plot(
-            attempts, [row[name] for row in rows], marker=marker, linewidth=1.2, label="training"
-        )
-        axis.set_xlabel("attempts (thousands)")
-        axis.set_title(label, fontsize=10)
-        axis.grid(alpha=0.3)
+        values = [row[name] for row in rows]
+        axis.plot(attempts, values, marker=marker, linewidth=1.0, color=POLICY, label="training")
+        prepare(axis, label, "attempts (thousands)")
+    if random is not None:
+        style = {"color": colour("random"), "linestyle": "--", "linewidth": 1.0}
+        axes[0].axhline(random, label="random, last check", **style)
     if evaluations:
         _draw_evaluations(axes[0], evaluations)
+    axes[0].legend(fontsize=FONT - 1, frameon=False, loc="best")
     # Room for a line at 0 or 1, which the frame would hide.
     axes[0].set_ylim(-0.03, 1.03)
-    figure.suptitle(title, fontsize=10)
-    FigureCanvasAgg(figure)
-    picture = io.BytesIO()
-    figure.savefig(picture, dpi=120)
-    write_atomically(path, picture.getvalue())
+    figure.suptitle(title, fontsize=FONT + 1)
+    save(figure, path.with_suffix(""))
 
 
 def _draw_evaluations(axis: Any, evaluations: Sequence[Row]) -> None:
@@ -154,9 +166,8 @@ def _draw_evaluations(axis: Any, evaluations: Sequence[Row]) -> None:
     below = [row["success"] - row["low95"] for row in evaluations]
     above = [row["high95"] - row["success"] for row in evaluations]
     attempts = [row["attempts"] / 1000 for row in evaluations]
-    style = {"fmt": "o", "markersize": 3, "linewidth": 1, "color": "black"}
-    axis.errorbar(attempts, success, yerr=[below, above], label="evaluation", **style)
-    axis.legend(fontsize=8, loc="lower right")
+    style = {"fmt": "o", "markersize": 3, "linewidth": 1, "color": "black", "capsize": 2}
+    axis.errorbar(attempts, success, yerr=[below, above], label="last check, 95 %", **style)
 
 
 PROJECT = "cluttergen"
@@ -328,9 +339,20 @@ class RunLogger:
         if not rows:
             return
         known = {"evaluation": self._beside(evaluation)} if evaluation else {}
-        draw_curve(rows, self._folder / "curve.png", self._folder.name, self._evaluations.rows)
+        found: Any = evaluation or {}
+        random = found["random"]["success"] if "random" in found else None
+        path = self._folder / "curve.png"
+        draw_curve(rows, path, self._title, self._evaluations.rows, random)
         # Last: by the policy's record a run is known to be done.
         self._save("policy", state, {"success": rows[-1]["success"], **known})
+
+    @property
+    def _title(self) -> str:
+        """What was trained, for people."""
+        recipe = self._kept.recipe
+        pool = public_name(str(recipe["pool"])) if "pool" in recipe else self._folder.name
+        words = [f"{name} {recipe[name]}" for name in ("preset", "seed") if name in recipe]
+        return ", ".join([pool, str(recipe.get("variant", "policy")), *words])
 
     @property
     def num_evaluated(self) -> int:

@@ -15,8 +15,10 @@ from cluttergen_jax.config import EvalAction, Preset, StabilityConfig, stability
 from cluttergen_jax.errors import BankError, ClutterGenError, ConfigError
 from cluttergen_jax.learning.networks.config import KIND
 from cluttergen_jax.learning.training.run_folder import Interrupt, RunFolder, hold_run, versions
+from cluttergen_jax.physics import engine_of, step_seconds
 from cluttergen_jax.placement.config import PlacementConfig, placement_record
 from cluttergen_jax.placement.problem import ProblemConfig, make_problem
+from cluttergen_jax.progress import time_text
 from cluttergen_jax.schema import Record
 
 if TYPE_CHECKING:
@@ -198,14 +200,23 @@ def _run(
     from cluttergen_jax.learning.training.run import Evaluator, Run, RunConfig
 
     settings = settings or config.settings()
+    lanes = settings.ppo.num_envs
+    threads = config.problem.num_threads
+    engine = engine_of(config.problem.engine, settings.stability, lanes, threads)
     problem = make_problem(
         dataclasses.replace(
-            config.problem, placement=settings.placement, stability=settings.stability
+            config.problem,
+            engine=engine,
+            placement=settings.placement,
+            stability=settings.stability,
         )
     )
     folder = RunFolder(config.folder, recipe_of(config, settings))
     say = show if is_writer() else lambda text: None
     say(f"run        {config.folder}")
+    say(
+        f"engine     {engine}, {lanes:,} environments side by side{_expected(settings, engine, threads)}"
+    )
     is_sampled = config.eval_action != "mean"
     evaluate = Evaluator(problem, settings.network, config.eval_episodes, is_sampled, config.seed)
     Run(
@@ -225,6 +236,18 @@ def _run(
     ).train(show, interrupt)
     say(f"done       policy in {config.folder / 'policy'}, curve in {config.folder / 'curve.png'}")
     return config.folder / "policy"
+
+
+def _expected(settings: Settings, engine: str, num_threads: int) -> str:
+    """How long the simulation of a run takes, where that was measured."""
+    if engine == "jax":
+        return ""
+    stability = settings.stability
+    ppo = settings.ppo
+    steps = stability.decision_step if stability.stop_when_decided else stability.max_steps
+    rounds = ppo.num_attempts / ppo.num_envs
+    seconds = rounds * steps * step_seconds(engine, ppo.num_envs, num_threads)
+    return f": simulating {ppo.num_attempts:,} attempts takes about {time_text(seconds)}, learning aside"
 
 
 def recipe_of(config: TrainConfig, settings: Settings) -> Record:

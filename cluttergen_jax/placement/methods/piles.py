@@ -7,6 +7,7 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 
+from cluttergen_jax.config import Together
 from cluttergen_jax.physics.host import HostPhysics, empty_settling
 from cluttergen_jax.placement.region import is_inside, is_kept_out, to_pose
 from cluttergen_jax.placement.rollout import BlockSampler
@@ -21,7 +22,7 @@ class PileSampler(BlockSampler, eq=False):
     can: a release is an attempt, `max_attempts` and `budget` limit releases, and the last check is the same.
     """
 
-    is_whole: ClassVar[bool] = True
+    how: ClassVar[Together | None] = "pile"
 
     def begin(self, key: Array, indices: Array, is_wanted: Array) -> Episode:
         """See `BlockSampler`; of piles that are stored it is counted what touches from the side."""
@@ -33,10 +34,11 @@ class PileSampler(BlockSampler, eq=False):
         asking, *asked = self.ask(episode, jnp.bool_(True))
         physics = self.rules.simulator
         assert isinstance(physics, HostPhysics)
-        return self.finish_pile(episode, asking, physics.pile(*asked))
+        assert self.how is not None
+        return self.finish_pile(episode, asking, physics.make(self.how, *asked))
 
     def ask(self, episode: Episode, is_due: Array) -> tuple[Episode, *tuple[Array, ...]]:
-        """What `HostPhysics.pile` is asked, after the episode with its next key.
+        """What `HostPhysics.make` is asked, after the episode with its next key.
 
         Args:
           is_due: bool, whether the pile is to be made now, unless the episode is over.

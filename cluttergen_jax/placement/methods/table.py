@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from cluttergen_jax.config import HAND, PACKED, PILE, REPAIR, no_such
+from cluttergen_jax.config import HAND, PACKED, PILE, REPAIR, SETTLE, no_such
 from cluttergen_jax.errors import ConfigError, closest
 
 if TYPE_CHECKING:
@@ -229,8 +229,9 @@ class MethodEntry:
       is_baseline: compared unasked, and what learned methods have to beat.
       is_trusted: asks what carries what; by default larger objects come first, and some are taken away again
         when it is stuck.
-      is_ordered: has that order, and takes away, by default.
-      is_whole: makes each scene at once, not object by object.
+      is_ordered: has that order by default, and takes away unless it makes scenes at once.
+      is_whole: makes each scene at once, which the native engine does, not object by object.
+      is_heap: all objects fall together.
       limits_stack: of `clutter` it takes stack alone, as the most objects that rest on others.
       own_poses: what an error says of one that chooses poses itself.
     """
@@ -243,6 +244,7 @@ class MethodEntry:
     is_trusted: bool = False
     is_ordered: bool = False
     is_whole: bool = False
+    is_heap: bool = False
     limits_stack: bool = False
     own_poses: str = ""
 
@@ -260,6 +262,14 @@ METHODS: dict[str, MethodEntry] = {
         "methods.baselines:Random",
         takes=("poses", "height"),
         is_baseline=True,
+    ),
+    SETTLE: MethodEntry(
+        "the plain loop to beat: objects dropped on free spots, or on others, that settle in plain MuJoCo",
+        "methods.baselines:Random",
+        "methods.settle:SettleSampler",
+        is_baseline=True,
+        is_ordered=True,
+        is_whole=True,
     ),
     "clear": MethodEntry(
         "many uniform poses an attempt, of which the first on bare, whole ground is taken",
@@ -300,6 +310,7 @@ METHODS: dict[str, MethodEntry] = {
         "methods.baselines:Random",
         "methods.piles:PileSampler",
         is_whole=True,
+        is_heap=True,
         own_poses=", which always releases objects in random orientations",
     ),
     "policy": MethodEntry("a policy with the head of its preset, trained for the pool"),

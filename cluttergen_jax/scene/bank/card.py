@@ -196,7 +196,7 @@ def _licences(bank: Bank, assets: Sequence[ObjectAsset]) -> list[str]:
 
 def _about(bank: Bank, stats: BankStats) -> str:
     how = "placed one after another on a support until all lie still together"
-    if entry_of(bank.recipe.get("method")).is_whole:
+    if entry_of(bank.recipe.get("method")).is_heap:
         how = "let fall into a heap until all lie still together"
     return (
         f"# {bank.path.resolve().name}\n\n"
