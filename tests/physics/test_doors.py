@@ -121,6 +121,6 @@ def test_inactive_scenes_and_diverged_ones_are_left_alone(made):
 def test_what_cannot_be_asked_for_with_doors_is_said_before_work():
     with pytest.raises(ConfigError, match="engine 'jax' with doors"):
         problem(engine="jax")
-    with pytest.raises(ConfigError, match="method 'pile'"):
-        problem(is_piled=True)
+    with pytest.raises(ConfigError, match="a method that makes each scene at once"):
+        problem(is_whole=True)
     assert problem(placement={"doors": "open"}).world.doors is None

@@ -31,7 +31,8 @@ def test_a_crowd_is_a_share(options, words):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"method": "pile"}, "heap already"),
+        ({"method": "pile"}, "makes each scene at once"),
+        ({"method": "settle"}, "makes each scene at once"),
         ({"engine": "warp"}, "engine"),
         ({"start": "bank:0"}, "start"),
         ({"surface": "all", "support": "bookcase"}, "surface"),
