@@ -31,6 +31,7 @@ Method = Literal[
 ]
 """What is known of each stands in `placement.methods.table`."""
 SETTLE = "settle"
+"""The plain loop that others have to beat."""
 # Ways to clutter that are no rivals of the others and stand in no table: objects shoulder to shoulder; and
 # all objects of a scene let fall into a heap, which the native engine makes whole.
 PACKED = "packed"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
@@ -444,6 +445,8 @@ def make_sampler(
     check_whole(num_scene_points=num_scene_points)
     ObservationConfig(num_scene_points=num_scene_points)
     method, setup, shelves = set_up_bank(asked, 0)
+    if asked.engine == "jax":
+        warnings.warn(setup.problem.rules.simulator.compiling, stacklevel=2)
     return Sampler(
         problem=setup.problem,
         steps=sampler_of(setup, method),

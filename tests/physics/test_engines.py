@@ -2,6 +2,7 @@
 
 import pytest
 
+import cluttergen_jax as cg
 from cluttergen_jax.config import ROBUST_TILT, StabilityConfig
 from cluttergen_jax.physics import engine_of, engines, step_seconds
 
@@ -45,3 +46,8 @@ def test_a_gpu_of_another_maker_is_none_of_nvidias(monkeypatch):
     assert not engines.has_nvidia()
     Client.platform_version = "PJRT C API\ncuda 13000"
     assert engines.has_nvidia()
+
+
+def test_a_sampler_of_the_reference_says_that_it_compiles_for_minutes():
+    with pytest.warns(UserWarning, match="minutes for ninety"):
+        cg.make_sampler("dining", num_objects=2, engine="jax", objects=("mug", "fork"))
