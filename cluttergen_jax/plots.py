@@ -1,6 +1,6 @@
 """One look for all figures: fit to print, for eyes of all kinds, as pixels and as vectors.
 
-Widths are those of one column and of two. A method has one colour and one mark everywhere; lines that have
+A method has one colour and one mark everywhere; lines that have
 the colour of another differ in their dashes. Colours are from Okabe and Ito's palette and from Tol's.
 """
 
@@ -12,10 +12,8 @@ from typing import Any
 
 from cluttergen_jax.files import write_atomically
 
-COLUMN = 3.4
-"""Inches."""
 PAGE = 7.0
-"""Inches."""
+"""Inches of two columns."""
 
 LOOKS: dict[str, tuple[str, str]] = {
     "random": ("#999999", "o"),

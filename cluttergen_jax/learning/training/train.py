@@ -214,9 +214,8 @@ def _run(
     folder = RunFolder(config.folder, recipe_of(config, settings))
     say = show if is_writer() else lambda text: None
     say(f"run        {config.folder}")
-    say(
-        f"engine     {engine}, {lanes:,} environments side by side{_expected(settings, engine, threads)}"
-    )
+    duration = _simulation_time(settings, engine, threads)
+    say(f"engine     {engine}, {lanes:,} environments side by side{duration}")
     is_sampled = config.eval_action != "mean"
     evaluate = Evaluator(problem, settings.network, config.eval_episodes, is_sampled, config.seed)
     Run(
@@ -238,7 +237,7 @@ def _run(
     return config.folder / "policy"
 
 
-def _expected(settings: Settings, engine: str, num_threads: int) -> str:
+def _simulation_time(settings: Settings, engine: str, num_threads: int) -> str:
     """How long the simulation of a run takes, where that was measured."""
     if engine == "jax":
         return ""

@@ -29,12 +29,13 @@ class SettleSampler(PileSampler, eq=False):
     def ask(self, episode: Episode, is_due: Array) -> tuple[Episode, *tuple[Array, ...]]:
         """What `HostPhysics.make` is asked, after the episode with its next key; see `PileSampler`."""
         rules = self.rules
-        key_draw, key_next = jax.random.split(episode.key)
+        # The same split as that of `PileSampler`, whose draws are of no use here.
+        key_draw, _ = jax.random.split(episode.key)
         asking, order, _, region, half_extents, whole, budget, is_made = super().ask(
             episode, is_due
         )
         return (
-            asking.replace(key=key_next),
+            asking,
             order,
             jax.random.key_data(key_draw),
             region,
